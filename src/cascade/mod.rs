@@ -1,0 +1,1 @@
+//! The cascade on a whole cloud: plan, patches, units, merge, resample.

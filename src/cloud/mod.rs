@@ -1,0 +1,23 @@
+//! The point cloud as the rest of the library sees it: true coordinates, and the local frame in
+//! which all geometry is computed.
+
+mod frame;
+
+pub use frame::{Frame, FrameError};
+
+/// A position in the local [`Frame`]: `f32`, within about [-1, 1] on each axis.
+pub type Point = [f32; 3];
+
+/// A position in the file's own coordinates and units.
+pub type Position = [f64; 3];
+
+/// A cloud as read from a file.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Cloud {
+    /// One entry a point, in the file's order and units. May hold non-finite values: see
+    /// [`crate::cascade`] for the rule about them.
+    pub positions: Vec<Position>,
+    /// Names of the properties that the reader saw and did not keep (for example `red`), in the
+    /// file's order.
+    pub dropped_properties: Vec<String>,
+}

@@ -1,0 +1,1 @@
+//! Queue, workers, progress and cancellation.

@@ -1,0 +1,1 @@
+//! Metrics, controls, reports and pictures.

@@ -1,0 +1,1 @@
+//! Geometry on local points: neighbours, sampling, normals, distances. No IO, no network.

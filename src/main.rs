@@ -1,0 +1,5 @@
+//! The `densecloud` program: see [`densecloud::cli`].
+
+fn main() -> std::process::ExitCode {
+    densecloud::cli::main()
+}
