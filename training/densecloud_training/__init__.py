@@ -1,0 +1,1 @@
+"""Training of the densecloud upsampling cascade: meshes -> point clouds -> trained units -> ONNX files."""
