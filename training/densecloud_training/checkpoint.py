@@ -1,0 +1,46 @@
+"""Everything a run needs to go on as if it had never stopped, in one small file."""
+
+import os
+import random
+from pathlib import Path
+from typing import Any, Dict
+
+import numpy as np
+import torch
+
+VERSION = 1
+
+
+def save(path: Path, state: Dict[str, Any]) -> None:
+    """Writes beside the file and renames, so that a kill leaves the old checkpoint or the new one, never half of one."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_suffix(".tmp")
+    torch.save({**state, "version": VERSION}, temporary)
+    os.replace(temporary, path)
+
+
+def load(path: Path, device: torch.device) -> Dict[str, Any]:
+    """Reads a checkpoint onto `device`. The file is a pickle: load only files that you trust."""
+    try:
+        state = torch.load(path, map_location=device, weights_only=False)
+    except TypeError:  # PyTorch 1.x has no `weights_only`
+        state = torch.load(path, map_location=device)
+    if state.get("version") != VERSION:
+        raise ValueError(f"{path}: checkpoint version {state.get('version')}, this program reads {VERSION}")
+    return state
+
+
+def random_state(host: random.Random, device: torch.device) -> Dict[str, Any]:
+    state = {"host": host.getstate(), "numpy": np.random.get_state(), "torch": torch.get_rng_state()}
+    if device.type == "cuda":
+        state["cuda"] = torch.cuda.get_rng_state(device)
+    return state
+
+
+def restore_random_state(state: Dict[str, Any], host: random.Random, device: torch.device) -> None:
+    """A run that moves to another kind of device goes on with that device's own generator."""
+    host.setstate(state["host"])
+    np.random.set_state(state["numpy"])
+    torch.set_rng_state(state["torch"].cpu())
+    if device.type == "cuda" and "cuda" in state:
+        torch.cuda.set_rng_state(state["cuda"].cpu(), device)

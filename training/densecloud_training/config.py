@@ -1,0 +1,87 @@
+"""Settings of a run, read from a TOML file; every field is documented in configs/default.toml."""
+
+import tomllib
+from dataclasses import asdict, dataclass, field, fields
+from pathlib import Path
+from typing import Dict, List
+
+CONFIGS = Path(__file__).with_name("configs")
+
+
+@dataclass
+class Stage:
+    """One stage of the schedule: `levels` units take part; the last alone learns, or all together."""
+
+    levels: int
+    together: bool
+    share: float
+    iterations: int
+    learning_rate: float
+
+    @property
+    def name(self) -> str:
+        return f"{'together' if self.together else 'alone'}-{2**self.levels}x"
+
+
+@dataclass
+class Data:
+    windows: List[float] = field(default_factory=lambda: [1.0, 1.0, 1.0, 1.0])
+    kinds: Dict[str, float] = field(default_factory=lambda: {"poisson": 1.0})
+    noise_share: float = 1.0
+    noise_most: float = 0.01
+    noise_power: float = 0.0
+    scale: List[float] = field(default_factory=lambda: [0.8, 1.2])
+    reference_margin: float = 1.0
+    seed_pull: float = 1.0
+
+
+@dataclass
+class Loss:
+    factor: float = 50.0
+    ratio_weights: List[float] = field(default_factory=lambda: [4.0, 3.0, 2.0, 1.0])
+    outlier_threshold: float = 2.0
+    outliers_from: List[float] = field(default_factory=lambda: [2.0, 0.6, 0.6, 0.6])
+    borders: bool = False
+
+
+@dataclass
+class Config:
+    seed: int = 0
+    levels: int = 4
+    k: int = 32
+    patch: int = 312
+    batch_cpu: int = 8
+    batch_cuda: int = 28
+    warm_start: bool = False
+    decay_to: float = 1.0
+    warmup: int = 0
+    clip_value: float = 1.0
+    ratio_draw: List[float] = field(default_factory=lambda: [1.0, 2.0, 3.0, 4.0])
+    data: Data = field(default_factory=Data)
+    loss: Loss = field(default_factory=Loss)
+    stages: List[Stage] = field(default_factory=list)
+    extension: List[Stage] = field(default_factory=list)
+
+    def as_dict(self) -> dict:
+        return asdict(self)
+
+
+def load(path: Path) -> Config:
+    """Reads a config by path, or by name from the package's `configs/`."""
+    if not path.exists():
+        path = CONFIGS / f"{path}.toml"
+    with open(path, "rb") as file:
+        return from_dict(tomllib.load(file))
+
+
+def from_dict(values: dict) -> Config:
+    values = dict(values)
+    known = {item.name for item in fields(Config)}
+    unknown = set(values) - known
+    if unknown:
+        raise ValueError(f"unknown settings: {', '.join(sorted(unknown))}; known: {', '.join(sorted(known))}")
+    values["data"] = Data(**values.get("data", {}))
+    values["loss"] = Loss(**values.get("loss", {}))
+    for schedule in ("stages", "extension"):
+        values[schedule] = [Stage(**stage) for stage in values.get(schedule, [])]
+    return Config(**values)

@@ -1,0 +1,259 @@
+"""Trains a cascade: `python -m densecloud_training.train --data CLOUDS --out RUN --budget MINUTES`."""
+
+import argparse
+import json
+import random
+import signal
+import sys
+import time
+from pathlib import Path
+from typing import Any, Dict, List, Optional
+
+import numpy as np
+import torch
+
+from . import checkpoint as checkpoints
+from . import clouds as cloud_sets
+from . import config as configs
+from .config import Config, Stage
+from .levels import run_levels
+from .loss import chamfer
+from .network import Cascade
+from .patches import PatchSource
+from .schedule import learning_rate, prepare_units
+from .validation import Validation
+
+CHECKPOINT = "checkpoint.pt"
+LOG = "log.jsonl"
+
+
+class Trainer:
+    """A run: the cascade, the stage it is in, and everything that decides the next step."""
+
+    def __init__(self, config: Config, training: cloud_sets.Clouds, budget_seconds: Optional[float]):
+        self.config, self.device, self.budget = config, training.device, budget_seconds
+        self.host = random.Random(config.seed)
+        np.random.seed(config.seed)
+        torch.manual_seed(config.seed)
+        self.cascade = Cascade(config.levels, config.k).to(self.device)
+        self.source = PatchSource(training, config.data, config.patch, self.host)
+        self.batch = config.batch_cuda if self.device.type == "cuda" else config.batch_cpu
+        self.round, self.stage_index, self.stage_step, self.step = 0, 0, 0, 0
+        self.stage_seconds, self.seconds, self.patches = 0.0, 0.0, 0
+        self.history: List[Dict[str, Any]] = []
+        self.enter_stage()
+
+    @property
+    def stages(self) -> List[Stage]:
+        return self.config.stages if self.round == 0 else self.config.extension
+
+    @property
+    def stage(self) -> Stage:
+        return self.stages[self.stage_index]
+
+    @property
+    def finished(self) -> bool:
+        return self.stage_index >= len(self.stages)
+
+    @property
+    def label(self) -> str:
+        return "finished" if self.finished else f"{self.round}.{self.stage_index} {self.stage.name}"
+
+    def enter_stage(self) -> None:
+        """Freezes, warm-starts, and gives the units that learn a fresh optimiser."""
+        self.stage_step, self.stage_seconds = 0, 0.0
+        if not self.finished:
+            learning = prepare_units(self.cascade, self.stage, self.config.warm_start, self.round == 0)
+            self.optimiser = torch.optim.Adam(learning, lr=self.stage.learning_rate)
+
+    def leave_stage(self) -> None:
+        self.history.append({"stage": self.label, "steps": self.stage_step, "seconds": round(self.stage_seconds, 1)})
+        self.stage_index += 1
+        self.enter_stage()
+
+    def extend(self) -> None:
+        """Starts the config's extension stages on a finished run."""
+        self.round, self.stage_index = self.round + 1, 0
+        self.enter_stage()
+
+    def progress(self) -> float:
+        """Share of the stage that is done: of its seconds under a budget, else of its iterations."""
+        if self.budget is None:
+            return self.stage_step / self.stage.iterations
+        total = sum(stage.share for stage in self.stages)
+        return self.stage_seconds / max(1e-9, self.budget * self.stage.share / total)
+
+    def draw_levels(self) -> int:
+        """The newest unit alone trains its own ratio; a joint stage draws one among those so far."""
+        stage = self.stage
+        if not stage.together:
+            return stage.levels
+        return self.host.choices(range(1, stage.levels + 1), self.config.ratio_draw[: stage.levels])[0]
+
+    def train_step(self) -> tuple:
+        """One step; returns the ratio and the unweighted loss as a device tensor (reading it waits for the device)."""
+        settings, data = self.config.loss, self.config.data
+        levels = self.draw_levels()
+        progress = self.progress()
+        frozen = 0 if self.stage.together else levels - 1
+        batch = self.source.draw(levels, self.batch)
+        units = list(self.cascade.units)[:levels]
+        result = run_levels(units, batch, data.reference_margin, data.seed_pull, frozen)
+        outliers = settings.outlier_threshold if progress >= settings.outliers_from[levels - 1] else None
+        inside = (result.prediction_inside, result.reference_inside) if settings.borders else (None, None)
+        loss = chamfer(result.prediction, result.reference, *inside, outliers).mean()
+        for group in self.optimiser.param_groups:
+            group["lr"] = learning_rate(self.config, self.stage, progress, self.stage_step)
+        self.optimiser.zero_grad(set_to_none=True)
+        (loss * settings.factor * settings.ratio_weights[levels - 1]).backward()
+        learning = [p for group in self.optimiser.param_groups for p in group["params"] if p.grad is not None]
+        torch.nn.utils.clip_grad_value_(learning, self.config.clip_value)
+        self.optimiser.step()
+        self.step += 1
+        self.stage_step += 1
+        self.patches += self.batch
+        return levels, loss.detach()
+
+    def state(self) -> Dict[str, Any]:
+        names = ("round", "stage_index", "stage_step", "step", "stage_seconds", "seconds", "patches", "history")
+        return {
+            "config": self.config.as_dict(),
+            "cascade": self.cascade.state_dict(),
+            "optimiser": self.optimiser.state_dict(),
+            "random": checkpoints.random_state(self.host, self.device),
+            "counters": {name: getattr(self, name) for name in names},
+        }
+
+    def restore(self, state: Dict[str, Any]) -> None:
+        counters = state["counters"]
+        self.round, self.stage_index = counters["round"], counters["stage_index"]
+        self.enter_stage()
+        self.cascade.load_state_dict(state["cascade"])
+        if not self.finished:
+            self.optimiser.load_state_dict(state["optimiser"])
+        for name, value in counters.items():
+            setattr(self, name, value)
+        checkpoints.restore_random_state(state["random"], self.host, self.device)
+
+
+class Log:
+    """One JSON object a line; a run that resumes appends."""
+
+    def __init__(self, path: Path):
+        self.file = open(path, "a", buffering=1)
+
+    def write(self, **entry: Any) -> None:
+        self.file.write(json.dumps(entry) + "\n")
+        print(" ".join(f"{key}={value}" for key, value in entry.items()), flush=True)
+
+
+class Meter:
+    """Losses by ratio since the last report, summed on the device."""
+
+    def __init__(self):
+        self.sums: Dict[int, Any] = {}
+        self.since, self.patches = time.monotonic(), 0
+
+    def add(self, levels: int, loss: torch.Tensor, patches: int) -> None:
+        total, count = self.sums.get(levels, (0.0, 0))
+        self.sums[levels] = (total + loss, count + 1)
+        self.patches += patches
+
+    def report(self) -> Dict[str, Any]:
+        losses = {f"{2**level}x": round(1e3 * float(s) / n, 4) for level, (s, n) in sorted(self.sums.items())}
+        rate = self.patches / max(1e-9, time.monotonic() - self.since)
+        return {"loss": losses, "patches_per_second": round(rate, 1)}
+
+
+def run(trainer: Trainer, out: Path, validation: Optional[Validation], arguments: argparse.Namespace) -> None:
+    """Steps until the schedule ends or a signal comes; logs, scores and saves on the clock."""
+    out.mkdir(parents=True, exist_ok=True)
+    stop: List[int] = []
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda signum, frame: stop.append(signum))
+    log, meter = Log(out / LOG), Meter()
+    if trainer.step == 0 and validation:
+        log.write(controls=rounded(validation.controls))
+    last = time.monotonic()
+    next_log, next_score, next_save = last + arguments.log_every, last, last + arguments.save_every
+    while not trainer.finished and not stop:
+        levels, loss = trainer.train_step()
+        meter.add(levels, loss, trainer.batch)
+        now = time.monotonic()
+        trainer.stage_seconds += now - last
+        trainer.seconds += now - last
+        last = now
+        at = {"step": trainer.step, "stage": trainer.label, "seconds": round(trainer.seconds, 1)}
+        ends = trainer.progress() >= 1
+        if now >= next_log or ends:
+            rate = trainer.optimiser.param_groups[0]["lr"]
+            log.write(**at, **meter.report(), progress=round(trainer.progress(), 4), learning_rate=round(rate, 8))
+            meter, next_log = Meter(), now + arguments.log_every
+        if validation and (now >= next_score or ends):
+            scores = validation.of_cascade(trainer.cascade, trainer.stage.levels)
+            log.write(**at, validation=rounded(scores))
+            next_score = time.monotonic() + arguments.score_every
+        if ends:
+            trainer.leave_stage()
+        if now >= next_save or ends:
+            checkpoints.save(out / CHECKPOINT, trainer.state())
+            next_save = now + arguments.save_every
+    checkpoints.save(out / CHECKPOINT, trainer.state())
+    log.write(step=trainer.step, stage=trainer.label, stopped="signal" if stop else "schedule ended")
+
+
+def rounded(table: Dict[str, Any]) -> Dict[str, Any]:
+    return {k: rounded(v) if isinstance(v, dict) else round(v, 4) for k, v in table.items()}
+
+
+def device_named(name: str) -> torch.device:
+    if name == "auto":
+        name = "cuda" if torch.cuda.is_available() else "cpu"
+    if name == "cuda" and not torch.cuda.is_available():
+        raise SystemExit("no CUDA device is available; use --device cpu, or auto to take what is there")
+    return torch.device(name)
+
+
+def parse(values: Optional[List[str]] = None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--data", type=Path, required=True, help="the file that `prepare` wrote")
+    parser.add_argument("--out", type=Path, required=True, help="folder of the run: checkpoint and log; resumed if there")
+    parser.add_argument("--config", type=Path, default=Path("default"), help="a TOML file, or `default` or `paper`")
+    parser.add_argument("--budget", type=float, help="minutes for the whole schedule; without it, its iterations count")
+    parser.add_argument("--device", default="auto", choices=["auto", "cpu", "cuda"])
+    parser.add_argument("--threads", type=int, help="CPU threads")
+    parser.add_argument("--extend", action="store_true", help="run the extension stages on a finished checkpoint")
+    parser.add_argument("--start-from", type=Path, help="begin from this checkpoint (copied weights and state)")
+    parser.add_argument("--log-every", type=float, default=20.0, help="seconds")
+    parser.add_argument("--score-every", type=float, default=240.0, help="seconds")
+    parser.add_argument("--save-every", type=float, default=120.0, help="seconds")
+    parser.add_argument("--no-validation", action="store_true")
+    return parser.parse_args(values)
+
+
+def main(values: Optional[List[str]] = None) -> None:
+    arguments = parse(values)
+    if arguments.threads:
+        torch.set_num_threads(arguments.threads)
+    device = device_named(arguments.device)
+    if device.type == "cuda":
+        torch.backends.cuda.matmul.allow_tf32 = True
+    source = arguments.out / CHECKPOINT if (arguments.out / CHECKPOINT).exists() else arguments.start_from
+    state = checkpoints.load(source, device) if source else None
+    config = configs.load(arguments.config)
+    training = cloud_sets.load(arguments.data, device, held_out=False)
+    trainer = Trainer(config, training, arguments.budget * 60 if arguments.budget else None)
+    if state:
+        trainer.restore(state)
+        if trainer.finished and arguments.extend:
+            trainer.extend()
+    if trainer.finished:
+        sys.exit(f"the schedule of {source} has ended; --extend continues it")
+    validation = None
+    if not arguments.no_validation:
+        validation = Validation(cloud_sets.load(arguments.data, device, held_out=True), config)
+    run(trainer, arguments.out, validation, arguments)
+
+
+if __name__ == "__main__":
+    main()
