@@ -9,6 +9,8 @@ import torch
 from torch import nn
 from torch.nn import functional
 
+from . import native
+
 
 @torch.no_grad()
 def nearest_in_features(features: torch.Tensor, k: int) -> torch.Tensor:
@@ -42,18 +44,24 @@ class EdgeBlock(nn.Module):
         self.third = nn.Linear(2 * growth + channels, growth)
 
     def forward(self, features: torch.Tensor) -> torch.Tensor:
-        indices = nearest_in_features(features, self.k)
         point, neighbour, on_a, on_b = self.split()
         # Everything that depends on one point alone, in one product.
         own = features @ torch.cat([point[0], neighbour], dim=1)
         own_a, own_b, own_c, other = own.split(self.growth, dim=-1)
         bias_a, bias_b, bias_c = point[1].split(self.growth)
-        a = functional.relu((own_a + bias_a).unsqueeze(2) + gather_rows(other, indices))
-        on_b_and_c = a @ on_a
-        b = functional.relu(on_b_and_c[..., : self.growth] + (own_b + bias_b).unsqueeze(2))
-        c = on_b_and_c[..., self.growth :] + b @ on_b
+        own_a, own_b, own_c = own_a + bias_a, own_b + bias_b, own_c + bias_c
         # c's share of the point itself is the same for every neighbour, so it is added after the maximum.
-        return torch.cat([c.max(2)[0] + own_c + bias_c, b.max(2)[0], a.max(2)[0], features], dim=-1)
+        if native.usable(features) and self.growth == native.GROWTH:
+            indices = native.neighbours(features, self.k)
+            to_b, to_c = on_a.split(self.growth, dim=1)
+            maxima = native.EdgeMaxima.apply(own_a, own_b, other, to_b, to_c, on_b, indices)
+            return torch.cat([maxima[..., : self.growth] + own_c, maxima[..., self.growth :], features], dim=-1)
+        indices = nearest_in_features(features, self.k)
+        a = functional.relu(own_a.unsqueeze(2) + gather_rows(other, indices))
+        on_b_and_c = a @ on_a
+        b = functional.relu(on_b_and_c[..., : self.growth] + own_b.unsqueeze(2))
+        c = on_b_and_c[..., self.growth :] + b @ on_b
+        return torch.cat([c.max(2)[0] + own_c, b.max(2)[0], a.max(2)[0], features], dim=-1)
 
     def split(self):
         """The three linear maps, regrouped by what they act on.

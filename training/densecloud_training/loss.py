@@ -4,6 +4,8 @@ from typing import NamedTuple, Optional
 
 import torch
 
+from . import native
+
 
 class Nearest(NamedTuple):
     """Squared distances: each prediction to its nearest reference [B,P], each reference to its nearest prediction [B,Q]."""
@@ -16,10 +18,14 @@ def nearest_distances(prediction: torch.Tensor, reference: torch.Tensor) -> Near
     """Both directions, from one table of products. The partners are found without gradient; the distances to them are
     then computed exactly, so that rounding in the products shifts no loss value."""
     with torch.no_grad():
-        squares = prediction.square().sum(-1).unsqueeze(2) + reference.square().sum(-1).unsqueeze(1)
-        table = torch.baddbmm(squares, prediction, reference.transpose(1, 2), alpha=-2.0)
-        of_prediction = table.argmin(2)
-        of_reference = table.argmin(1)
+        if native.usable(prediction) and native.usable(reference):
+            of_prediction = native.nearest(prediction, reference)
+            of_reference = native.nearest(reference, prediction)
+        else:
+            squares = prediction.square().sum(-1).unsqueeze(2) + reference.square().sum(-1).unsqueeze(1)
+            table = torch.baddbmm(squares, prediction, reference.transpose(1, 2), alpha=-2.0)
+            of_prediction = table.argmin(2)
+            of_reference = table.argmin(1)
     to_reference = prediction - reference.gather(1, of_prediction.unsqueeze(-1).expand(-1, -1, 3))
     to_prediction = reference - prediction.gather(1, of_reference.unsqueeze(-1).expand(-1, -1, 3))
     return Nearest(to_reference.square().sum(-1), to_prediction.square().sum(-1))
