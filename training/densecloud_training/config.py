@@ -33,6 +33,7 @@ class Data:
     scale: List[float] = field(default_factory=lambda: [0.8, 1.2])
     reference_margin: float = 1.0
     seed_pull: float = 1.0
+    coverage: float = 1e9
 
 
 @dataclass
@@ -42,6 +43,7 @@ class Loss:
     outlier_threshold: float = 2.0
     outliers_from: List[float] = field(default_factory=lambda: [2.0, 0.6, 0.6, 0.6])
     borders: bool = False
+    balance: float = 0.0
 
 
 @dataclass

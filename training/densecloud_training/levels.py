@@ -4,6 +4,8 @@ from typing import Callable, NamedTuple, Optional, Sequence
 
 import torch
 
+from .config import Data
+from .loss import nearest_distances
 from .network import SKIP_NEIGHBOURS, Previous, normalise
 from .patches import Batch, nearest_of_seed
 
@@ -21,11 +23,11 @@ class Result(NamedTuple):
     reference_inside: torch.Tensor
 
 
-def run_levels(steps: Sequence[Step], batch: Batch, margin: float, pull: float, frozen: int = 0) -> Result:
+def run_levels(steps: Sequence[Step], batch: Batch, data: Data, frozen: int = 0) -> Result:
     """Runs `steps` one after the other; the first `frozen` of them without gradient.
 
-    Each next patch: a random predicted point is the seed (drawn towards the middle by 1 - `pull`), the input is its N
-    nearest predictions, and the reference shrinks to its 2^(levels left) * N * `margin` nearest.
+    Each next patch: a random predicted point is the seed (moved towards the middle as `data.seed_pull` says), the input is its N
+    nearest predictions, and the reference shrinks to its 2^(levels left) * N nearest, times `data.reference_margin`.
     """
     points, reference = batch.points, batch.reference
     seed = torch.zeros_like(points[:, :1])
@@ -41,19 +43,22 @@ def run_levels(steps: Sequence[Step], batch: Batch, margin: float, pull: float, 
             break
         patch = points.shape[1]
         with torch.no_grad():
-            seed = next_seed(dense, pull)
+            seed = next_seed(dense, data.seed_pull)
         # Neighbours are chosen without gradient; the coordinates that they select keep theirs.
         distances = (dense.detach() - seed).square().sum(-1)
         following, input_radius = nearest_of_seed(distances, dense, patch)
         if features is not None:
             previous = nearest_previous(following, points, features)
-        wanted = int(patch * 2 ** (len(steps) - level) * margin)
+        wanted = int(patch * 2 ** (len(steps) - level) * data.reference_margin)
         reference, reference_radius = nearest_of_seed((reference - seed).square().sum(-1), reference, wanted)
         crops.append((seed, input_radius, reference_radius))
         points = following
     with torch.no_grad():
         prediction_inside = torch.stack([(dense - s).norm(dim=-1) <= reach for s, _, reach in crops]).all(0)
         reference_inside = torch.stack([(reference - s).norm(dim=-1) <= radius for s, radius, _ in crops]).all(0)
+        # Where the input saw nothing (the far side of a scan), nothing is asked for.
+        gap = nearest_distances(reference, batch.points).to_reference.sqrt()
+        reference_inside &= gap <= data.coverage * batch.input_radius
     scale = input_radius.unsqueeze(-1)
     return Result((dense - seed) / scale, (reference - seed) / scale, prediction_inside, reference_inside)
 

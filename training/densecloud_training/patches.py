@@ -12,8 +12,10 @@ import torch
 from .clouds import Clouds, level_size
 from .config import Data
 
-# A depth image of this many pixels a side around the seed, each about one point spacing wide.
-SCAN_GRID = 80
+# A depth image around the seed: this many pixels a side, and a patch radius. A patch of even points has about 10 points
+# a radius; slopes take some away, so pixels are finer.
+SCAN_GRID = 104
+SCAN_PIXELS_PER_RADIUS = 13
 FAR = 1e9
 
 
@@ -139,7 +141,7 @@ def thin_scan(offsets: torch.Tensor, share: float) -> torch.Tensor:
     """A single view: of all points behind one pixel only the nearest is seen (slopes get sparse, backs vanish)."""
     count, device = len(offsets), offsets.device
     turned = offsets @ random_rotations(count, device)
-    pixels = torch.floor(turned[..., :2] * (SCAN_GRID / 8)).long() + SCAN_GRID // 2
+    pixels = torch.floor(turned[..., :2] * SCAN_PIXELS_PER_RADIUS).long() + SCAN_GRID // 2
     inside = ((pixels >= 0) & (pixels < SCAN_GRID)).all(-1)
     cells = (pixels[..., 0] * SCAN_GRID + pixels[..., 1]).masked_fill(~inside, SCAN_GRID * SCAN_GRID)
     depth = turned[..., 2]

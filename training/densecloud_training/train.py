@@ -92,20 +92,24 @@ class Trainer:
 
     def train_step(self) -> tuple:
         """One step; returns the ratio and the unweighted loss as a device tensor (reading it waits for the device)."""
-        settings, data = self.config.loss, self.config.data
+        settings = self.config.loss
         levels = self.draw_levels()
         progress = self.progress()
         frozen = 0 if self.stage.together else levels - 1
         batch = self.source.draw(levels, self.batch)
         units = list(self.cascade.units)[:levels]
-        result = run_levels(units, batch, data.reference_margin, data.seed_pull, frozen)
+        result = run_levels(units, batch, self.config.data, frozen)
         outliers = settings.outlier_threshold if progress >= settings.outliers_from[levels - 1] else None
         inside = (result.prediction_inside, result.reference_inside) if settings.borders else (None, None)
-        loss = chamfer(result.prediction, result.reference, *inside, outliers).mean()
+        losses = chamfer(result.prediction, result.reference, *inside, outliers)
+        loss = losses.mean()
+        # Patches that nobody can fill well (gaps, backs of scans) would otherwise outweigh those that can be learned.
+        weights = (loss / losses.clamp_min(1e-9)).detach() ** settings.balance
+        objective = (losses * weights / weights.mean()).mean()
         for group in self.optimiser.param_groups:
             group["lr"] = learning_rate(self.config, self.stage, progress, self.stage_step)
         self.optimiser.zero_grad(set_to_none=True)
-        (loss * settings.factor * settings.ratio_weights[levels - 1]).backward()
+        (objective * settings.factor * settings.ratio_weights[levels - 1]).backward()
         learning = [p for group in self.optimiser.param_groups for p in group["params"] if p.grad is not None]
         torch.nn.utils.clip_grad_value_(learning, self.config.clip_value)
         self.optimiser.step()

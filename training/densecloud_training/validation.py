@@ -59,8 +59,7 @@ class Validation:
         for case, batches in self.batches.items():
             for level, batch in enumerate(batches[: len(steps)], start=1):
                 with forked(self.seed + level, batch.points.device):
-                    data = self.config.data
-                    result = run_levels(steps[:level], batch, data.reference_margin, data.seed_pull)
+                    result = run_levels(steps[:level], batch, self.config.data)
                 nearest = nearest_distances(result.prediction, result.reference)
                 there = nearest.to_reference * result.prediction_inside
                 back = nearest.to_prediction * result.reference_inside
