@@ -3,12 +3,15 @@
 import os
 import random
 from pathlib import Path
-from typing import Any, Dict
+from typing import Any, Dict, Tuple
 
 import numpy as np
 import torch
 
+from .network import Cascade
+
 VERSION = 1
+FILE = "checkpoint.pt"
 
 
 def save(path: Path, state: Dict[str, Any]) -> None:
@@ -28,6 +31,23 @@ def load(path: Path, device: torch.device) -> Dict[str, Any]:
     if state.get("version") != VERSION:
         raise ValueError(f"{path}: checkpoint version {state.get('version')}, this program reads {VERSION}")
     return state
+
+
+def load_cascade(path: Path) -> Tuple[Cascade, Dict[str, Any], int]:
+    """The cascade of a checkpoint, or of a folder that holds one; the checkpoint; and how many units have been trained.
+
+    Units that the schedule has not reached are copies of the last one that it has: what a warm start would begin with.
+    """
+    state = load(path / FILE if path.is_dir() else path, torch.device("cpu"))
+    config, counters = state["config"], state["counters"]
+    cascade = Cascade(config["levels"], config["k"])
+    cascade.load_state_dict(state["cascade"])
+    trained = config["levels"]
+    if counters["round"] == 0 and counters["stage_index"] < len(config["stages"]):
+        trained = config["stages"][counters["stage_index"]]["levels"]
+    for unit in list(cascade.units)[trained:]:
+        unit.load_state_dict(cascade.units[trained - 1].state_dict())
+    return cascade.eval().requires_grad_(False), state, trained
 
 
 def random_state(host: random.Random, device: torch.device) -> Dict[str, Any]:

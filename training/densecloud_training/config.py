@@ -32,6 +32,7 @@ class Data:
     noise_power: float = 0.0
     scale: List[float] = field(default_factory=lambda: [0.8, 1.2])
     reference_margin: float = 1.0
+    reference_extra: int = 0
     seed_pull: float = 1.0
     coverage: float = 1e9
 

@@ -27,7 +27,7 @@ def run_levels(steps: Sequence[Step], batch: Batch, data: Data, frozen: int = 0)
     """Runs `steps` one after the other; the first `frozen` of them without gradient.
 
     Each next patch: a random predicted point is the seed (moved towards the middle as `data.seed_pull` says), the input is its N
-    nearest predictions, and the reference shrinks to its 2^(levels left) * N nearest, times `data.reference_margin`.
+    nearest predictions, and the reference halves around it.
     """
     points, reference = batch.points, batch.reference
     seed = torch.zeros_like(points[:, :1])
@@ -49,7 +49,7 @@ def run_levels(steps: Sequence[Step], batch: Batch, data: Data, frozen: int = 0)
         following, input_radius = nearest_of_seed(distances, dense, patch)
         if features is not None:
             previous = nearest_previous(following, points, features)
-        wanted = int(patch * 2 ** (len(steps) - level) * data.reference_margin)
+        wanted = batch.reference.shape[1] >> level
         reference, reference_radius = nearest_of_seed((reference - seed).square().sum(-1), reference, wanted)
         crops.append((seed, input_radius, reference_radius))
         points = following

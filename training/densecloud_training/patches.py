@@ -73,8 +73,9 @@ class PatchSource:
             kept, seeds = distances < FAR, source.gather(1, nearest)
             distances = (source - seeds).square().sum(-1).masked_fill(~kept, FAR)
         points, radius = nearest_of_seed(distances, source, self.patch)
-        dense = clouds.levels[window + levels][shapes]
-        wanted = int(self.patch * 2**levels * self.data.reference_margin)
+        reference_level = self.reference_level(window, levels)
+        dense = clouds.levels[reference_level][shapes]
+        wanted = int(self.patch * 2 ** (reference_level - window) * self.data.reference_margin)
         reference, reach = nearest_of_seed((dense - seeds).square().sum(-1), dense, wanted)
         scale = radius.unsqueeze(-1)
         return Batch((points - seeds) / scale, (reference - seeds) / scale, torch.ones_like(radius), reach / radius)
@@ -82,7 +83,11 @@ class PatchSource:
     def dense_level(self, window: int, levels: int) -> int:
         """The ladder level that uneven inputs are thinned from: much denser, and not the reference itself."""
         level = min(window + 4, len(self.clouds.levels) - 1)
-        return level - 1 if level == window + levels else level
+        return level - 1 if level == self.reference_level(window, levels) else level
+
+    def reference_level(self, window: int, levels: int) -> int:
+        """The ladder level of the reference: 2^levels times the input's points, and denser where the ladder allows."""
+        return min(window + levels + self.data.reference_extra, len(self.clouds.levels) - 1)
 
     def augment(self, batch: Batch) -> Batch:
         """Rotation, scale, and noise on the input alone."""

@@ -23,7 +23,6 @@ from .patches import PatchSource
 from .schedule import learning_rate, prepare_units
 from .validation import Validation
 
-CHECKPOINT = "checkpoint.pt"
 LOG = "log.jsonl"
 
 
@@ -200,9 +199,9 @@ def run(trainer: Trainer, out: Path, validation: Optional[Validation], arguments
         if ends:
             trainer.leave_stage()
         if now >= next_save or ends:
-            checkpoints.save(out / CHECKPOINT, trainer.state())
+            checkpoints.save(out / checkpoints.FILE, trainer.state())
             next_save = now + arguments.save_every
-    checkpoints.save(out / CHECKPOINT, trainer.state())
+    checkpoints.save(out / checkpoints.FILE, trainer.state())
     log.write(step=trainer.step, stage=trainer.label, stopped="signal" if stop else "schedule ended")
 
 
@@ -242,7 +241,7 @@ def main(values: Optional[List[str]] = None) -> None:
     device = device_named(arguments.device)
     if device.type == "cuda":
         torch.backends.cuda.matmul.allow_tf32 = True
-    source = arguments.out / CHECKPOINT if (arguments.out / CHECKPOINT).exists() else arguments.start_from
+    source = arguments.out / checkpoints.FILE if (arguments.out / checkpoints.FILE).exists() else arguments.start_from
     state = checkpoints.load(source, device) if source else None
     config = configs.load(arguments.config)
     training = cloud_sets.load(arguments.data, device, held_out=False)
