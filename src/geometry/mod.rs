@@ -24,3 +24,5 @@ pub use poisson_disk::poisson_disk;
 pub use random::Rng;
 pub use shapes::{SHAPES, shape};
 pub use uniform::{SampleError, uniform};
+mod fps_stub;
+pub use fps_stub::farthest_point_sampling;
