@@ -92,6 +92,7 @@ fn whole<R: Read>(source: &Source<R>, rest: &mut &[u8], what: &str) -> Result<u3
 
 fn bad<R: Read>(source: &Source<R>, token: &[u8], what: &str) -> FormatError {
     let at: Place = source.line();
-    let found = if token.is_empty() { "the line ends".to_owned() } else { format!("{} stands", shown(token)) };
+    let found =
+        if token.is_empty() { "the line ends".to_owned() } else { format!("{} stands", shown(token)) };
     FormatError::malformed(at, format!("{found} where {what} was expected"))
 }

@@ -92,7 +92,8 @@ mod tests {
     use super::*;
 
     fn fields(mut line: &[u8]) -> Vec<String> {
-        std::iter::from_fn(|| next_field(&mut line).map(|f| String::from_utf8_lossy(f).into_owned())).collect()
+        std::iter::from_fn(|| next_field(&mut line).map(|f| String::from_utf8_lossy(f).into_owned()))
+            .collect()
     }
 
     #[test]

@@ -24,7 +24,10 @@ pub(super) struct XyzReader {
 
 impl XyzReader {
     /// Reads up to the first point.
-    pub(super) fn open<R: Read>(source: &mut Source<R>, limits: Limits) -> Result<(Self, Header), FormatError> {
+    pub(super) fn open<R: Read>(
+        source: &mut Source<R>,
+        limits: Limits,
+    ) -> Result<(Self, Header), FormatError> {
         let mut reader = Self { columns: [0, 1, 2], claimed: None, first: None };
         let mut names: Option<Vec<String>> = None;
         let mut width = 3;

@@ -81,9 +81,10 @@ fn axes<R: Read>(source: &Source<R>, vertex: &Element) -> Result<[usize; 3], For
     let mut axes = [0; 3];
     for (axis, name) in axes.iter_mut().zip(["x", "y", "z"]) {
         let found = vertex.properties.iter().position(|p| p.name == name);
-        *axis = found.filter(|i| matches!(vertex.properties[*i].shape, Shape::Scalar(_))).ok_or_else(|| {
-            FormatError::malformed(source.line(), format!("the vertices have no number `{name}`"))
-        })?;
+        *axis =
+            found.filter(|i| matches!(vertex.properties[*i].shape, Shape::Scalar(_))).ok_or_else(|| {
+                FormatError::malformed(source.line(), format!("the vertices have no number `{name}`"))
+            })?;
     }
     Ok(axes)
 }

@@ -73,8 +73,7 @@ pub(in super::super) fn parse<R: Read>(source: &mut Source<R>) -> Result<PlyHead
             (0, ["ply"]) | (_, ["comment" | "obj_info", ..] | []) => {}
             (0, _) => return Err(bad("a PLY file begins with the line `ply`".into())),
             (_, ["end_header"]) => {
-                let encoding =
-                    encoding.ok_or_else(|| bad("the PLY header has no `format` line".into()))?;
+                let encoding = encoding.ok_or_else(|| bad("the PLY header has no `format` line".into()))?;
                 return Ok(PlyHeader { encoding, elements });
             }
             (_, ["format", name, version]) => {

@@ -60,7 +60,8 @@ impl<'a, R: Read> Rows<'a, R> {
                 let range = self.token()?;
                 let token = self.source.bytes(range);
                 // Rounded to the declared type, so that the same cloud reads the same in every encoding.
-                let value = if kind == Kind::F32 { parse_f32(token).map(f64::from) } else { parse_f64(token) };
+                let value =
+                    if kind == Kind::F32 { parse_f32(token).map(f64::from) } else { parse_f64(token) };
                 return value.ok_or_else(|| {
                     let why = format!("{} is not a number", shown(token));
                     FormatError::malformed(self.source.line(), why)
