@@ -4,6 +4,7 @@
 
 mod engine_args;
 mod error;
+mod sample;
 mod upsample;
 
 pub use error::CliError;
@@ -22,6 +23,7 @@ struct Arguments {
 
 #[derive(Debug, Subcommand)]
 enum Command {
+    Sample(sample::SampleArgs),
     Upsample(upsample::UpsampleArgs),
 }
 
@@ -46,6 +48,7 @@ pub fn main() -> ExitCode {
 
 fn run(command: Command) -> Result<(), CliError> {
     match command {
+        Command::Sample(args) => sample::run(&args),
         Command::Upsample(args) => upsample::run(&args),
     }
 }
