@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use super::result_bytes;
+use super::download::result_bytes;
 
 /// All settings of a server. [`Config::default`] suits one machine behind a reverse proxy.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -116,8 +116,8 @@ impl Default for Limits {
     fn default() -> Self {
         Self {
             body_bytes: 256 << 20,
-            points_in: 2_000_000,
-            points_out: 16_000_000,
+            points_in: 1_000_000,
+            points_out: 4_000_000,
             held_bytes: 2 << 30,
             connections: 1024,
         }

@@ -11,6 +11,10 @@ use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use serde::Serialize;
 
+use crate::cascade::CascadeError;
+use crate::engine::EngineError;
+use crate::formats::FormatError;
+
 /// Why a request is not answered with a cloud.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub(super) enum Problem {
@@ -80,10 +84,17 @@ pub(super) enum Problem {
     #[error("the server is stopping and takes no more work")]
     Draining,
     /// The engine's queue is full.
-    #[error("{why}")]
+    #[error(
+        "{queued} points are queued or being worked on, and this request would add {wanted}, above the \
+         limit of {limit}; --queue-points lifts this limit"
+    )]
     QueueFull {
-        /// The engine's own words, which name the setting.
-        why: String,
+        /// Points in this request's result.
+        wanted: u64,
+        /// Points in the results of all requests before it.
+        queued: u64,
+        /// The most there may be.
+        limit: u64,
         /// From the backlog and the measured rate.
         retry_after: Duration,
     },
@@ -113,6 +124,51 @@ pub(super) enum Problem {
         /// For the log only.
         String,
     ),
+}
+
+impl From<FormatError> for Problem {
+    fn from(error: FormatError) -> Self {
+        match error {
+            FormatError::Unrecognised { .. } => Self::UnsupportedFormat(error.to_string()),
+            FormatError::Malformed { .. } | FormatError::Truncated { .. } => {
+                Self::Malformed(error.to_string())
+            }
+            FormatError::TooManyPoints { points, limit } => Self::TooManyPointsIn { points, limit },
+            FormatError::TooLarge { limit, .. } => Self::BodyTooLarge { limit },
+            FormatError::Empty(_) => Self::Impossible(error.to_string()),
+            // What only writers and mesh readers give, or what memory as a source cannot.
+            _ => Self::Internal(error.to_string()),
+        }
+    }
+}
+
+impl From<CascadeError> for Problem {
+    fn from(error: CascadeError) -> Self {
+        match error {
+            CascadeError::Ratio(_) => Self::parameter("ratio", error.to_string()),
+            CascadeError::Points { .. }
+            | CascadeError::TooFewPoints { .. }
+            | CascadeError::TooManyDuplicates { .. }
+            | CascadeError::Frame(_) => Self::Impossible(error.to_string()),
+            CascadeError::Overlap(_) | CascadeError::Backend(_) => Self::Internal(error.to_string()),
+            // Nobody but a stopping engine cancels a request that is still waited for.
+            CascadeError::Cancelled => Self::Draining,
+        }
+    }
+}
+
+impl Problem {
+    /// What the engine's refusal or failure is to a client; `retry_after` is its backlog.
+    pub(super) fn from_engine(error: EngineError, retry_after: Duration) -> Self {
+        match error {
+            EngineError::Full { wanted, queued, limit } => {
+                Self::QueueFull { wanted, queued, limit, retry_after }
+            }
+            EngineError::Cancelled => Self::Draining,
+            EngineError::Cascade(error) => error.into(),
+            EngineError::Internal(why) => Self::Internal(why),
+        }
+    }
 }
 
 /// One row of the table.
@@ -206,6 +262,7 @@ impl Problem {
             Self::BodyTooLarge { limit }
             | Self::TooManyPointsIn { limit, .. }
             | Self::TooManyPointsOut { limit, .. }
+            | Self::QueueFull { limit, .. }
             | Self::HeldFull { limit, .. } => Some((*limit).into()),
             Self::UploadStalled { limit } | Self::Deadline { limit } => seconds(limit),
             _ => None,
@@ -302,7 +359,11 @@ mod tests {
             (Problem::Impossible("x".into()), 422, "impossible-cloud"),
             (Problem::WarmingUp, 503, "warming-up"),
             (Problem::Draining, 503, "draining"),
-            (Problem::QueueFull { why: "--queue-points".into(), retry_after: second }, 503, "queue-full"),
+            (
+                Problem::QueueFull { wanted: 1, queued: 5, limit: 5, retry_after: second },
+                503,
+                "queue-full",
+            ),
             (Problem::HeldFull { used: 4, limit: 5 }, 503, "memory-full"),
             (Problem::Deadline { limit: second }, 504, "deadline"),
             (Problem::Internal("secret".into()), 500, "internal"),
@@ -353,10 +414,47 @@ mod tests {
     }
 
     #[test]
+    fn inner_errors_find_their_place_in_the_table() {
+        use crate::backend::BackendError;
+        use crate::cloud::FrameError;
+        use crate::formats::Place;
+        let name = |problem: Problem| problem.row().name;
+        for (error, expected) in [
+            (FormatError::Unrecognised { found: "a ZIP file".into() }, "unsupported-format"),
+            (FormatError::Malformed { at: Place::Line(3), why: "x".into() }, "malformed-cloud"),
+            (FormatError::Truncated { at: Place::Byte(3), why: "x".into() }, "malformed-cloud"),
+            (FormatError::TooManyPoints { points: 9, limit: 5 }, "too-many-points-in"),
+            (FormatError::TooLarge { bytes: 9, limit: 5 }, "body-too-large"),
+            (FormatError::Empty("points"), "impossible-cloud"),
+            (FormatError::WrongCount { promised: 1, written: 2 }, "internal"),
+        ] {
+            let text = error.to_string();
+            assert_eq!(name(error.into()), expected, "{text}");
+        }
+        let run = BackendError::Run { unit: 1, why: "x".into() };
+        for (error, expected) in [
+            (CascadeError::Ratio(99.0), "invalid-parameter"),
+            (CascadeError::Points { wanted: 1, from: 9 }, "impossible-cloud"),
+            (CascadeError::TooFewPoints { distinct: 1, duplicates: 0, needed: 33 }, "impossible-cloud"),
+            (CascadeError::TooManyDuplicates { distinct: 1, total: 99 }, "impossible-cloud"),
+            (CascadeError::Frame(FrameError::Degenerate), "impossible-cloud"),
+            (CascadeError::Backend(run), "internal"),
+            (CascadeError::Cancelled, "draining"),
+        ] {
+            let text = error.to_string();
+            assert_eq!(name(Problem::from_engine(EngineError::Cascade(error), SOON)), expected, "{text}");
+        }
+        let full = EngineError::Full { wanted: 1, queued: 5, limit: 5 };
+        assert_eq!(Problem::from_engine(full, SOON).retry_after(), Some(SOON));
+        assert_eq!(name(Problem::from_engine(EngineError::Internal("x".into()), SOON)), "internal");
+    }
+
+    #[test]
     fn retry_after_rounds_up_to_whole_seconds() {
         for (millis, seconds) in [(0, "1"), (1, "1"), (1000, "1"), (1001, "2"), (90_000, "90")] {
             let retry_after = Duration::from_millis(millis);
-            let response = Problem::QueueFull { why: String::new(), retry_after }.into_response();
+            let full = Problem::QueueFull { wanted: 1, queued: 5, limit: 5, retry_after };
+            let response = full.into_response();
             assert_eq!(response.headers()["retry-after"], seconds, "{millis} ms");
         }
     }
