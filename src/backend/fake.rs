@@ -38,6 +38,12 @@ impl Fake {
         Self { delay, ..Self::new() }
     }
 
+    /// The same, but batch `number`, counted from 0 over all sessions, fails.
+    #[must_use]
+    pub fn failing_at(number: usize) -> Self {
+        Self { fails_at: Some(number), ..Self::new() }
+    }
+
     /// Batches run so far.
     #[must_use]
     pub fn batches(&self) -> usize {

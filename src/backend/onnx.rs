@@ -5,7 +5,9 @@ use std::sync::Arc;
 
 use ort::environment::Environment;
 use ort::session::builder::GraphOptimizationLevel;
-use ort::session::{HasSelectedOutputs, OutputSelector, RunOptions, Session as OrtSession, SessionInputValue};
+use ort::session::{
+    HasSelectedOutputs, OutputSelector, RunOptions, Session as OrtSession, SessionInputValue,
+};
 use ort::value::TensorRef;
 
 use super::{Backend, BackendError, Batch, Model, Output, SKIP_NEIGHBOURS, Session, UnitShape, library};
@@ -105,10 +107,7 @@ impl OnnxSession {
                 TensorRef::from_array_view(([rows, self.shape.channels], skip.features))?.into(),
             ));
             let of_each = [b, n, SKIP_NEIGHBOURS];
-            inputs.push((
-                "skip_indices".into(),
-                TensorRef::from_array_view((of_each, skip.indices))?.into(),
-            ));
+            inputs.push(("skip_indices".into(), TensorRef::from_array_view((of_each, skip.indices))?.into()));
             inputs.push((
                 "skip_distances".into(),
                 TensorRef::from_array_view((of_each, skip.distances))?.into(),

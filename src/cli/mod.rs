@@ -2,7 +2,9 @@
 //!
 //! Exit codes: 0 done, 1 the work failed, 64 the command was wrong (`EX_USAGE`).
 
+mod engine_args;
 mod error;
+mod upsample;
 
 pub use error::CliError;
 
@@ -19,7 +21,9 @@ struct Arguments {
 }
 
 #[derive(Debug, Subcommand)]
-enum Command {}
+enum Command {
+    Upsample(upsample::UpsampleArgs),
+}
 
 /// Parses the arguments, runs the command, and says how it went.
 pub fn main() -> ExitCode {
@@ -41,5 +45,7 @@ pub fn main() -> ExitCode {
 }
 
 fn run(command: Command) -> Result<(), CliError> {
-    match command {}
+    match command {
+        Command::Upsample(args) => upsample::run(&args),
+    }
 }

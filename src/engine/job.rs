@@ -38,6 +38,24 @@ pub struct Outcome {
     pub stages: StageTimes,
 }
 
+impl Outcome {
+    /// What a person should know about how the input was treated, a sentence each.
+    #[must_use]
+    pub fn warnings(&self) -> Vec<String> {
+        let mut warnings = Vec::new();
+        if self.dropped_non_finite > 0 {
+            warnings.push(format!("{} points left out: NaN or infinite", self.dropped_non_finite));
+        }
+        if self.duplicates > 0 {
+            warnings.push(format!(
+                "{} points coincide with another; they count towards the size alone",
+                self.duplicates
+            ));
+        }
+        warnings
+    }
+}
+
 /// What queue, job thread and caller share.
 pub(super) struct Task {
     watch: Watch,

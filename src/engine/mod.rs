@@ -150,7 +150,8 @@ impl Engine {
             })
             .collect();
         let start = std::time::Instant::now();
-        let dense = cascade::upsample(&positions, Target::Ratio(ratio), &Settings::default(), workers, &Silent)?;
+        let dense =
+            cascade::upsample(&positions, Target::Ratio(ratio), &Settings::default(), workers, &Silent)?;
         self.inner.queue.measured(dense.positions.len() as u64, start.elapsed());
         Ok(())
     }
