@@ -3,6 +3,8 @@
 use std::fmt;
 use std::io;
 
+use crate::geometry::MeshError;
+
 /// Why a file could not be read or written.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -51,6 +53,9 @@ pub enum FormatError {
     /// Well-formed, but without a single point (or, for a mesh, without a triangle).
     #[error("the file holds no {0}")]
     Empty(&'static str),
+    /// A mesh that nothing can be done with.
+    #[error(transparent)]
+    Mesh(#[from] MeshError),
     /// A writer was finished, or over-filled, with another number of points than it was made for.
     #[error("{written} points written to a file whose header promises {promised}")]
     WrongCount {

@@ -25,8 +25,8 @@ pub fn read_mesh_file(path: &Path) -> Result<Mesh, FormatError> {
 /// face uses are kept.
 ///
 /// # Errors
-/// The content is neither, is malformed, holds a NaN or infinite vertex, refers to a vertex that is
-/// not there, or holds no triangle.
+/// The content is neither, is malformed, has a triangle with a NaN or infinite corner, refers to a
+/// vertex that is not there, or holds no triangle.
 pub fn read_mesh<R: Read>(reader: R) -> Result<Mesh, FormatError> {
     let mut source = Source::new(reader, Limits::default())?;
     let head = source.peek(4096)?;
@@ -77,10 +77,8 @@ impl Polygons {
         if self.triangles.is_empty() {
             return Err(FormatError::Empty("triangles"));
         }
-        if let Some(i) = vertices.iter().position(|v| !v.iter().all(|c| c.is_finite())) {
-            let found = format!("vertex {i} of the mesh is not finite");
-            return Err(FormatError::Unrecognised { found });
-        }
-        Ok(Mesh { vertices, triangles: self.triangles })
+        let mesh = Mesh { vertices, triangles: self.triangles };
+        mesh.validate()?;
+        Ok(mesh)
     }
 }

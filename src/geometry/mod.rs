@@ -33,5 +33,3 @@ pub use random::Rng;
 pub use shapes::{SHAPES, shape};
 pub use surface_distance::SurfaceDistance;
 pub use uniform::{SampleError, uniform};
-mod fps_stub;
-pub use fps_stub::farthest_point_sampling;
