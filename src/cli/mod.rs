@@ -4,6 +4,7 @@
 
 mod engine_args;
 mod error;
+mod serve;
 mod upsample;
 
 pub use error::CliError;
@@ -23,6 +24,7 @@ struct Arguments {
 #[derive(Debug, Subcommand)]
 enum Command {
     Upsample(upsample::UpsampleArgs),
+    Serve(serve::ServeArgs),
 }
 
 /// Parses the arguments, runs the command, and says how it went.
@@ -47,5 +49,6 @@ pub fn main() -> ExitCode {
 fn run(command: Command) -> Result<(), CliError> {
     match command {
         Command::Upsample(args) => upsample::run(&args),
+        Command::Serve(args) => serve::run(&args),
     }
 }

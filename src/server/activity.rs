@@ -102,11 +102,7 @@ mod tests {
     use tokio::time::Instant;
 
     fn timeouts() -> Timeouts {
-        Timeouts {
-            head: Duration::from_millis(20),
-            stall: Duration::from_millis(10),
-            ..Timeouts::default()
-        }
+        Timeouts { head: Duration::from_millis(20), stall: Duration::from_millis(10), ..Timeouts::default() }
     }
 
     fn limit(activity: &Activity) -> Option<Duration> {

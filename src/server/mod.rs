@@ -102,7 +102,7 @@ pub async fn run(
     let (close, closing) = watch::channel(false);
     let serve = async {
         let router = app::router(Arc::clone(&app));
-        futures::join!(accept::accept(listener, router, &config, closing), drain(&app, shutdown, &close))
+        tokio::join!(accept::accept(listener, router, &config, closing), drain(&app, shutdown, &close))
     };
     tokio::select! {
         (connections, deadline) = serve => end(connections, deadline).await,

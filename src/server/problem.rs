@@ -206,18 +206,12 @@ impl Problem {
             Self::Parameter { .. } => (S::BAD_REQUEST, "invalid-parameter", "Invalid parameter", None),
             Self::Interrupted(_) => (S::BAD_REQUEST, "interrupted-body", "The body broke off", None),
             Self::Malformed(_) => (S::BAD_REQUEST, "malformed-cloud", "The cloud cannot be read", None),
-            Self::UploadStalled { .. } => (
-                S::REQUEST_TIMEOUT,
-                "upload-stalled",
-                "The upload stalled",
-                Some("--stall-timeout"),
-            ),
-            Self::BodyTooLarge { .. } => (
-                S::PAYLOAD_TOO_LARGE,
-                "body-too-large",
-                "The body is too large",
-                Some("--max-body-bytes"),
-            ),
+            Self::UploadStalled { .. } => {
+                (S::REQUEST_TIMEOUT, "upload-stalled", "The upload stalled", Some("--stall-timeout"))
+            }
+            Self::BodyTooLarge { .. } => {
+                (S::PAYLOAD_TOO_LARGE, "body-too-large", "The body is too large", Some("--max-body-bytes"))
+            }
             Self::TooManyPointsIn { .. } => (
                 S::PAYLOAD_TOO_LARGE,
                 "too-many-points-in",
@@ -359,11 +353,7 @@ mod tests {
             (Problem::Impossible("x".into()), 422, "impossible-cloud"),
             (Problem::WarmingUp, 503, "warming-up"),
             (Problem::Draining, 503, "draining"),
-            (
-                Problem::QueueFull { wanted: 1, queued: 5, limit: 5, retry_after: second },
-                503,
-                "queue-full",
-            ),
+            (Problem::QueueFull { wanted: 1, queued: 5, limit: 5, retry_after: second }, 503, "queue-full"),
             (Problem::HeldFull { used: 4, limit: 5 }, 503, "memory-full"),
             (Problem::Deadline { limit: second }, 504, "deadline"),
             (Problem::Internal("secret".into()), 500, "internal"),

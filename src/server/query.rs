@@ -4,7 +4,7 @@ use axum::extract::Query;
 use axum::http::Uri;
 
 use super::problem::Problem;
-use crate::engine::Target;
+use crate::cascade::{MAX_RATIO, Target};
 
 /// What a request asks for, in the query of its URI.
 #[derive(Debug, Clone, PartialEq)]
@@ -14,9 +14,6 @@ pub(super) struct Parameters {
     /// `seed`; the same default as the command line's when absent.
     pub(super) seed: Option<u64>,
 }
-
-/// The largest ratio that the cascade is made for.
-const RATIOS: std::ops::RangeInclusive<f64> = 1.0..=64.0;
 
 impl Parameters {
     /// Reads the query strictly: a parameter that is unknown or comes twice is an error, so that a
@@ -34,7 +31,10 @@ impl Parameters {
                 "points" => points.replace(parse_points(&value)?).is_some(),
                 "seed" => seed.replace(parse_seed(&value)?).is_some(),
                 _ => {
-                    return Err(Problem::parameter(&name, "unknown; there are ratio, points and seed".into()));
+                    return Err(Problem::parameter(
+                        &name,
+                        "unknown; there are ratio, points and seed".into(),
+                    ));
                 }
             };
             if twice {
@@ -48,17 +48,21 @@ impl Parameters {
                 return Err(Problem::parameter("points", "give either ratio or points, not both".into()));
             }
             (None, None) => {
-                return Err(Problem::parameter("ratio", "missing; give ratio=R (1 to 64) or points=N".into()));
+                return Err(Problem::parameter(
+                    "ratio",
+                    "missing; give ratio=R (1 to 64) or points=N".into(),
+                ));
             }
         };
         Ok(Self { target, seed })
     }
 
-    /// Points in the result for so many points in, rounded up.
+    /// Points in the result for so many points in; unlike [`Target::points_out`], also for a claim that
+    /// no cloud could meet.
     pub(super) fn points_out(&self, points_in: u64) -> u64 {
         match self.target {
             // Saturates, so a claim of 2^64 points is just a number that is too large.
-            Target::Ratio(ratio) => (points_in as f64 * ratio).ceil() as u64,
+            Target::Ratio(ratio) => (points_in as f64 * ratio).round() as u64,
             Target::Points(points) => points,
         }
     }
@@ -66,8 +70,8 @@ impl Parameters {
 
 fn parse_ratio(value: &str) -> Result<f64, Problem> {
     match value.parse() {
-        Ok(ratio) if RATIOS.contains(&ratio) => Ok(ratio),
-        _ => Err(Problem::parameter("ratio", format!("{value:?} is not a number from 1 to 64"))),
+        Ok(ratio) if (1.0..=f64::from(MAX_RATIO)).contains(&ratio) => Ok(ratio),
+        _ => Err(Problem::parameter("ratio", format!("{value:?} is not a number from 1 to {MAX_RATIO}"))),
     }
 }
 
@@ -133,10 +137,13 @@ mod tests {
     }
 
     #[test]
-    fn points_out_round_up_and_saturate() {
+    fn points_out_are_the_cascades_own_and_saturate() {
         let ratio = |ratio| Parameters { target: Target::Ratio(ratio), seed: None };
         assert_eq!(ratio(4.0).points_out(10), 40);
-        assert_eq!(ratio(1.5).points_out(3), 5);
+        for points_in in 1..200 {
+            let expected = Target::Ratio(1.37).points_out(points_in).expect("a size");
+            assert_eq!(ratio(1.37).points_out(points_in), expected);
+        }
         assert_eq!(ratio(64.0).points_out(u64::MAX), u64::MAX);
         let points = Parameters { target: Target::Points(9), seed: None };
         assert_eq!(points.points_out(3), 9);

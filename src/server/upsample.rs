@@ -19,7 +19,7 @@ use super::query::Parameters;
 use super::record::Points;
 use super::upload::{Received, Upload};
 use crate::cascade::Settings;
-use crate::engine::{Job, Outcome, Request};
+use crate::engine::{Job, Request};
 use crate::formats::Format;
 
 /// The handler. A client that leaves drops this future at one of its waits, with it the job, and so
@@ -57,56 +57,15 @@ async fn answer(
     let submitted = submit.await.map_err(|error| Problem::Internal(error.to_string()))??;
     timing.add(app, "parse", start.elapsed());
     let start = Instant::now();
-    let Submitted { job, held, format, points_in, dropped_properties } = submitted;
+    let Submitted { job, held, format, points_in, mut warnings } = submitted;
     let outcome = job.await.map_err(|error| Problem::from_engine(error, app.engine.retry_after()))?;
+    warnings.extend(outcome.warnings());
     timing.add(app, "queue", start.elapsed().saturating_sub(outcome.stages.total()));
     for (stage, took) in outcome.stages.iter() {
         timing.add(app, stage.name(), took);
     }
-    Ok(respond(app, outcome, held, format, points_in, &dropped_properties, &timing))
-}
-
-/// A cloud that the engine has taken.
-struct Submitted {
-    job: Job,
-    /// Room for the result, taken beforehand: a finished result never lacks memory.
-    held: Held,
-    format: Format,
-    points_in: u64,
-    dropped_properties: Vec<String>,
-}
-
-/// Blocking work: parses the body and queues the cloud.
-fn submit(app: &App, received: Received, parameters: &Parameters) -> Result<Submitted, Problem> {
-    let (cloud, format) = received.parse(app)?;
-    let points_in = cloud.positions.len() as u64;
-    app.check_points(points_in, parameters)?;
-    let room = result_bytes(parameters.points_out(points_in));
-    let held = app.budget.hold(room).ok_or_else(|| app.held_full())?;
-    let mut settings = Settings::default();
-    if let Some(seed) = parameters.seed {
-        settings.seed = seed;
-    }
-    let request = Request { positions: cloud.positions, target: parameters.target, settings };
-    let job = app
-        .engine
-        .submit(request)
-        .map_err(|error| Problem::from_engine(error, app.engine.retry_after()))?;
-    Ok(Submitted { job, held, format, points_in, dropped_properties: cloud.dropped_properties })
-}
-
-fn respond(
-    app: &App,
-    outcome: Outcome,
-    held: Held,
-    format: Format,
-    points_in: u64,
-    dropped_properties: &[String],
-    timing: &Timing,
-) -> Response {
     let points = Points { read: points_in, made: outcome.positions.len() as u64 };
     app.metrics.points(points.read, points.made);
-    let warnings = warnings(dropped_properties, &outcome);
     let mut response = download::body(outcome.positions, format, held).into_response();
     let headers = response.headers_mut();
     headers.insert(header::CONTENT_TYPE, HeaderValue::from_static(format.media_type()));
@@ -120,22 +79,36 @@ fn respond(
         headers.append("densecloud-warning", visible(&warning));
     }
     response.extensions_mut().insert(points);
-    response
+    Ok(response)
 }
 
-/// What was done to the input that its owner may not expect.
-fn warnings(dropped_properties: &[String], outcome: &Outcome) -> Vec<String> {
-    let mut warnings = Vec::new();
-    if !dropped_properties.is_empty() {
-        warnings.push(format!("dropped properties: {}", dropped_properties.join(", ")));
+/// A cloud that the engine has taken.
+struct Submitted {
+    job: Job,
+    /// Room for the result, taken beforehand: a finished result never lacks memory.
+    held: Held,
+    format: Format,
+    points_in: u64,
+    /// What its sender should know about how it was read.
+    warnings: Vec<String>,
+}
+
+/// Blocking work: parses the body and queues the cloud.
+fn submit(app: &App, received: Received, parameters: &Parameters) -> Result<Submitted, Problem> {
+    let (mut cloud, format) = received.parse(app)?;
+    let points_in = cloud.positions.len() as u64;
+    app.check_points(points_in, parameters)?;
+    let room = result_bytes(parameters.points_out(points_in));
+    let held = app.budget.hold(room).ok_or_else(|| app.held_full())?;
+    let mut settings = Settings::default();
+    if let Some(seed) = parameters.seed {
+        settings.seed = seed;
     }
-    if outcome.dropped_non_finite > 0 {
-        warnings.push(format!("dropped {} points with NaN or infinite coordinates", outcome.dropped_non_finite));
-    }
-    if outcome.duplicates > 0 {
-        warnings.push(format!("{} points coincide with earlier ones", outcome.duplicates));
-    }
-    warnings
+    let positions = std::mem::take(&mut cloud.positions);
+    let request = Request { positions, target: parameters.target, settings };
+    let job =
+        app.engine.submit(request).map_err(|error| Problem::from_engine(error, app.engine.retry_after()))?;
+    Ok(Submitted { job, held, format, points_in, warnings: cloud.warnings() })
 }
 
 /// The longest value of a header of ours; names of properties are the client's to choose.
@@ -143,11 +116,8 @@ const LONGEST: usize = 1000;
 
 /// Text as a header's value: visible ASCII, `?` for the rest, cut where it is too long.
 fn visible(text: &str) -> HeaderValue {
-    let plain: String = text
-        .chars()
-        .take(LONGEST)
-        .map(|c| if c.is_ascii_graphic() || c == ' ' { c } else { '?' })
-        .collect();
+    let plain: String =
+        text.chars().take(LONGEST).map(|c| if c.is_ascii_graphic() || c == ' ' { c } else { '?' }).collect();
     HeaderValue::from_str(&plain).unwrap_or(HeaderValue::from_static("?"))
 }
 
@@ -167,28 +137,6 @@ impl Timing {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::engine::StageTimes;
-
-    #[test]
-    fn a_warning_names_what_was_dropped() {
-        let mut outcome = Outcome {
-            positions: Vec::new(),
-            dropped_non_finite: 0,
-            duplicates: 0,
-            stages: StageTimes::default(),
-        };
-        assert!(warnings(&[], &outcome).is_empty());
-        outcome.dropped_non_finite = 3;
-        outcome.duplicates = 2;
-        assert_eq!(
-            warnings(&["red".into(), "green".into()], &outcome),
-            [
-                "dropped properties: red, green",
-                "dropped 3 points with NaN or infinite coordinates",
-                "2 points coincide with earlier ones",
-            ]
-        );
-    }
 
     #[test]
     fn a_name_from_a_file_cannot_break_a_header() {
