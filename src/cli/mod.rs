@@ -5,6 +5,7 @@
 mod engine_args;
 mod error;
 mod sample;
+mod serve;
 mod upsample;
 
 pub use error::CliError;
@@ -25,6 +26,7 @@ struct Arguments {
 enum Command {
     Sample(sample::SampleArgs),
     Upsample(upsample::UpsampleArgs),
+    Serve(serve::ServeArgs),
 }
 
 /// Parses the arguments, runs the command, and says how it went.
@@ -50,5 +52,6 @@ fn run(command: Command) -> Result<(), CliError> {
     match command {
         Command::Sample(args) => sample::run(&args),
         Command::Upsample(args) => upsample::run(&args),
+        Command::Serve(args) => serve::run(&args),
     }
 }
