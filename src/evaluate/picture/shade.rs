@@ -82,11 +82,15 @@ impl Scene<'_> {
         let light = match self.shade {
             Shade::Normals => lit(normal),
             // Colours carry the meaning: only a hint of light.
-            Shade::Depth | Shade::Density => mix([1.0; 3], lit(normal), 0.35),
+            Shade::Depth | Shade::Density => mix([0.9; 3], lit(normal), 0.3),
+        };
+        let fog = match self.shade {
+            Shade::Normals => FOG * far * far,
+            Shade::Depth | Shade::Density => 0.0,
         };
         let dark = (1.0 - self.occlusion(x, y, depth, normal)) * (1.0 - self.edge(x, y, depth));
         let colour = std::array::from_fn(|a| base[a] * light[a] * dark);
-        mix(colour, background, FOG * far * far)
+        mix(colour, background, fog)
     }
 
     /// The place of a pixel in the view's axes, relative to the eye.
