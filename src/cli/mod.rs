@@ -4,6 +4,8 @@
 
 mod engine_args;
 mod error;
+mod files;
+mod render;
 mod sample;
 mod serve;
 mod upsample;
@@ -24,6 +26,7 @@ struct Arguments {
 
 #[derive(Debug, Subcommand)]
 enum Command {
+    Render(render::RenderArgs),
     Sample(sample::SampleArgs),
     Upsample(upsample::UpsampleArgs),
     Serve(serve::ServeArgs),
@@ -50,6 +53,7 @@ pub fn main() -> ExitCode {
 
 fn run(command: Command) -> Result<(), CliError> {
     match command {
+        Command::Render(args) => render::run(&args),
         Command::Sample(args) => sample::run(&args),
         Command::Upsample(args) => upsample::run(&args),
         Command::Serve(args) => serve::run(&args),
