@@ -4,6 +4,7 @@
 
 mod engine_args;
 mod error;
+mod sample;
 mod serve;
 mod upsample;
 
@@ -23,6 +24,7 @@ struct Arguments {
 
 #[derive(Debug, Subcommand)]
 enum Command {
+    Sample(sample::SampleArgs),
     Upsample(upsample::UpsampleArgs),
     Serve(serve::ServeArgs),
 }
@@ -48,6 +50,7 @@ pub fn main() -> ExitCode {
 
 fn run(command: Command) -> Result<(), CliError> {
     match command {
+        Command::Sample(args) => sample::run(&args),
         Command::Upsample(args) => upsample::run(&args),
         Command::Serve(args) => serve::run(&args),
     }
