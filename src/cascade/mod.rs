@@ -1,1 +1,164 @@
 //! The cascade on a whole cloud: plan, patches, units, merge, resample.
+//!
+//! For each level, on a cloud of n points (the paper's section 3, its whole-cloud form): seeds by
+//! farthest point sampling, a patch of the N nearest points around each, one unit on all patches,
+//! and farthest point sampling of everything the unit made down to 2n points. The last level
+//! samples straight to the target, so that any ratio is exact.
+//!
+//! # What happens to difficult input
+//!
+//! - Points with a NaN or infinite coordinate are no measurements: they are left out, counted in
+//!   [`Upsampled::dropped_non_finite`], and a ratio counts the finite points alone.
+//! - Points that coincide in local `f32` are one point to the network, but each counts towards the
+//!   target: the result has the size that the header promised.
+//! - Too few distinct points for the unit, or all of them equal, is a [`CascadeError`].
+//!
+//! # Determinism
+//!
+//! The result depends on the points, their order, the target, the settings and the model; never on
+//! the number of threads. Every patch is computed on its own and written to its own place.
+
+mod input;
+mod level;
+mod observer;
+mod patches;
+mod plan;
+
+pub use observer::{Observer, Silent, Stage};
+pub use plan::{MAX_RATIO, Target};
+
+use crate::backend::{BackendError, Workers};
+use crate::cloud::{FrameError, Position};
+use input::Input;
+use level::{Level, Previous};
+use plan::Plan;
+
+/// How to run the cascade; the defaults are what the shipped model was measured with.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Settings {
+    /// How many patches a point lies in on average (the paper uses 3). At least 1; cost grows in
+    /// proportion.
+    pub overlap: f64,
+    /// Chooses where farthest point sampling starts, hence which of many equally good results.
+    pub seed: u64,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self { overlap: 3.0, seed: 0 }
+    }
+}
+
+/// A dense cloud and what was done to the input.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Upsampled {
+    /// Exactly [`Target::points_out`] positions, each an output of the network, in the order of
+    /// farthest point sampling: any prefix is spread evenly.
+    pub positions: Vec<Position>,
+    /// Points left out because a coordinate was NaN or infinite.
+    pub dropped_non_finite: usize,
+    /// Points that coincided with an earlier one.
+    pub duplicates: usize,
+}
+
+/// Why a cloud cannot be upsampled.
+#[derive(Debug, Clone, thiserror::Error)]
+pub enum CascadeError {
+    /// A ratio outside 1 to 64.
+    #[error("ratio {0} is outside 1 to {MAX_RATIO}")]
+    Ratio(f64),
+    /// A number of points outside 1 to 64 times the input.
+    #[error(
+        "{wanted} points from {from} is a ratio outside 1 to {MAX_RATIO}; ask for {from} to {}",
+        from * MAX_RATIO as u64
+    )]
+    Points {
+        /// The number asked for.
+        wanted: u64,
+        /// Finite points in the input.
+        from: u64,
+    },
+    /// An overlap that is not at least 1 (or absurdly large).
+    #[error("overlap {0} is outside 1 to 100")]
+    Overlap(f64),
+    /// Fewer distinct points than the unit has neighbours.
+    #[error(
+        "the cloud has {distinct} distinct finite points; the model needs at least {needed}{}",
+        if duplicates > &0 { format!(" ({duplicates} more are duplicates)") } else { String::new() }
+    )]
+    TooFewPoints {
+        /// Distinct finite points found.
+        distinct: usize,
+        /// Points that coincide with one of them.
+        duplicates: usize,
+        /// The least that works.
+        needed: usize,
+    },
+    /// So many points coincide that the distinct ones would need a higher ratio than there is.
+    #[error(
+        "only {distinct} of {total} points are distinct, so the target would take a ratio above \
+         {MAX_RATIO} of those; remove the duplicates or ask for a lower ratio"
+    )]
+    TooManyDuplicates {
+        /// Distinct finite points.
+        distinct: usize,
+        /// Finite points.
+        total: usize,
+    },
+    /// No local frame fits.
+    #[error("{0}")]
+    Frame(#[from] FrameError),
+    /// The backend failed.
+    #[error("{0}")]
+    Backend(#[from] BackendError),
+    /// The observer asked to stop.
+    #[error("cancelled")]
+    Cancelled,
+}
+
+/// Upsamples a cloud.
+///
+/// Cost: about `2 * overlap * (points out)/N` runs of the unit, and memory of about 1.1 kB a point
+/// of the last level's input (its skip features) beside the clouds themselves.
+///
+/// # Errors
+/// [`CascadeError`]: the input or target is impossible, the backend failed, or the observer asked
+/// to stop.
+pub fn upsample(
+    positions: &[Position],
+    target: Target,
+    settings: &Settings,
+    workers: &Workers,
+    observer: &dyn Observer,
+) -> Result<Upsampled, CascadeError> {
+    if !(1.0..=100.0).contains(&settings.overlap) {
+        return Err(CascadeError::Overlap(settings.overlap));
+    }
+    let shape = workers.shape();
+    let input = Input::prepare(positions)?;
+    let plan = Plan::new(target, input.finite, input.points.len(), input.duplicates(), shape)?;
+    observer.plan(&plan.sizes);
+    let dense = workers.install(|| {
+        let mut points = input.points;
+        let mut previous: Option<Previous> = None;
+        for (number, &size) in plan.sizes.iter().enumerate() {
+            let level = Level {
+                number,
+                unit: number.min(workers.backend().units() - 1),
+                last: number + 1 == plan.sizes.len(),
+                points,
+                previous,
+            };
+            (points, previous) = level.run(size, settings, workers, observer)?;
+        }
+        Ok::<_, CascadeError>(points)
+    })?;
+    Ok(Upsampled {
+        positions: dense.iter().map(|p| input.frame.to_world(*p)).collect(),
+        dropped_non_finite: positions.len() - input.finite,
+        duplicates: input.finite - input.distinct,
+    })
+}
+
+#[cfg(test)]
+mod tests;

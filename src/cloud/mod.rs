@@ -21,3 +21,14 @@ pub struct Cloud {
     /// file's order.
     pub dropped_properties: Vec<String>,
 }
+
+impl Cloud {
+    /// What a person should know about what was read, a sentence each.
+    #[must_use]
+    pub fn warnings(&self) -> Vec<String> {
+        if self.dropped_properties.is_empty() {
+            return Vec::new();
+        }
+        vec![format!("not carried over to the result: {}", self.dropped_properties.join(", "))]
+    }
+}

@@ -1,1 +1,3 @@
 //! Metrics, controls, reports and pictures.
+
+pub mod picture;

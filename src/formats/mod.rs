@@ -1,1 +1,47 @@
-//! File formats: one file a format, header first, then points.
+//! File formats: bytes in, a [`Cloud`](crate::cloud::Cloud) or a [`Mesh`](crate::geometry::Mesh)
+//! out, and back.
+//!
+//! | format | clouds | meshes |
+//! |---|---|---|
+//! | PLY (ascii, binary of both byte orders; any scalar types; lists) | read, write | read |
+//! | XYZ and its relatives (text columns) | read, write | |
+//! | OFF | | read |
+//!
+//! A reader is opened first and read second: [`CloudReader::open`] parses the header alone, so that
+//! limits are checked, and a refusal sent, before any point is read. What a header *claims* is never
+//! believed: memory grows with the data, and a claim that the data do not keep is an error that says
+//! where the data ended.
+//!
+//! Everything here is blocking `std::io`, and nothing here panics on bad input.
+//!
+//! ```
+//! use densecloud::formats::{CloudReader, CloudWriter, Format, Limits, PlyEncoding, Scalar};
+//!
+//! let text = "0 0 0\n1 0 0\n0 1 0\n";
+//! let cloud = CloudReader::open(text.as_bytes(), Limits::default())?.read()?;
+//! let format = Format::Ply { encoding: PlyEncoding::BinaryLittleEndian, scalar: Scalar::F32 };
+//! let mut writer = CloudWriter::new(Vec::new(), format, cloud.positions.len() as u64)?;
+//! writer.write(&cloud.positions)?;
+//! let bytes = writer.finish()?;
+//! assert_eq!(Some(bytes.len() as u64), format.encoded_len(3));
+//! # Ok::<(), densecloud::formats::FormatError>(())
+//! ```
+
+mod error;
+mod format;
+mod mesh;
+mod off;
+mod ply;
+mod reader;
+mod source;
+#[cfg(test)]
+mod tests;
+mod text;
+mod writer;
+mod xyz;
+
+pub use error::{FormatError, Place};
+pub use format::{Format, Header, Limits, PlyEncoding, Scalar};
+pub use mesh::{read_mesh, read_mesh_file};
+pub use reader::{CloudReader, read_cloud_file};
+pub use writer::CloudWriter;

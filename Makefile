@@ -1,0 +1,40 @@
+# `make demo` makes a dense cloud from nothing; `make test` runs every test.
+
+PROGRAM = $(or $(CARGO_TARGET_DIR),target)/release/densecloud
+OUT = out/demo
+
+.PHONY: demo test test-rust test-python lint build onnxruntime venv clean
+
+demo: build
+	mkdir -p $(OUT)
+	$(PROGRAM) sample shape:knot $(OUT)/sparse.ply --points 2500 --noise 0.0025
+	$(PROGRAM) upsample $(OUT)/sparse.ply $(OUT)/dense.ply --ratio 16
+	$(PROGRAM) render $(OUT)/sparse.ply $(OUT)/before-after.png --beside $(OUT)/dense.ply
+	@echo "The dense cloud is $(OUT)/dense.ply; before and after are in $(OUT)/before-after.png."
+
+test: test-rust test-python
+
+test-rust: onnxruntime
+	cargo test
+
+test-python: venv
+	.venv/bin/python -m pytest -q training/tests
+
+lint: venv
+	cargo fmt --check
+	cargo clippy --all-targets -- -D warnings
+	.venv/bin/python -m ruff check training
+	.venv/bin/python -m ruff format --check training
+
+build: onnxruntime
+	cargo build --release
+
+onnxruntime:
+	sh scripts/fetch-onnxruntime.sh
+
+venv:
+	sh training/setup.sh
+
+clean:
+	cargo clean
+	rm -rf out .venv vendor

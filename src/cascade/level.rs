@@ -1,0 +1,211 @@
+//! One level: patches through one unit, merged and resampled.
+
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use rayon::prelude::*;
+
+use super::patches::Patches;
+use super::{CascadeError, Observer, Settings, Stage};
+use crate::backend::{Batch, SKIP_NEIGHBOURS, SkipInput, Worker, Workers};
+use crate::cloud::Point;
+use crate::geometry::{KdTree, Rng, farthest_point_sampling};
+
+/// One level about to run.
+pub(super) struct Level {
+    /// From 0.
+    pub(super) number: usize,
+    /// The unit that runs it, from 0.
+    pub(super) unit: usize,
+    /// Whether nothing follows, so that features are not needed.
+    pub(super) last: bool,
+    /// Its input, P_{l-1}: distinct, in local coordinates.
+    pub(super) points: Vec<Point>,
+    /// What the level before it left; none at the first.
+    pub(super) previous: Option<Previous>,
+}
+
+/// What a level leaves to the next: its input points and their features.
+pub(super) struct Previous {
+    points: Vec<Point>,
+    /// `[n, C]`, one row a point.
+    features: Vec<f32>,
+    /// Each point's row.
+    rows: Vec<u32>,
+}
+
+/// For each point of a level, its nearest points in the previous level's input.
+struct SkipNeighbours {
+    /// `[n, 5]` rows of the previous feature table.
+    rows: Vec<i64>,
+    /// `[n, 5]` squared distances.
+    distances: Vec<f32>,
+}
+
+impl Level {
+    /// Runs the level and resamples to `size` points.
+    pub(super) fn run(
+        self,
+        size: usize,
+        settings: &Settings,
+        workers: &Workers,
+        observer: &dyn Observer,
+    ) -> Result<(Vec<Point>, Option<Previous>), CascadeError> {
+        // Each level draws from its own stream, so that a ratio's levels do not depend on how many
+        // follow.
+        let mut random = Rng::new(settings.seed.wrapping_add((self.number as u64) << 32));
+        let patch_size = workers.shape().patch_size;
+        let patches =
+            Patches::cover(&self.points, patch_size, settings.overlap, &mut random, self.number, observer)?;
+        let skip = self.previous.as_ref().map(|previous| SkipNeighbours::find(previous, &self.points));
+
+        observer.begin(self.number, Stage::Units);
+        let (merged, features) = self.run_units(&patches, skip.as_ref(), workers, observer)?;
+        let previous = (!self.last).then(|| Previous { points: self.points, features, rows: patches.rows });
+
+        observer.begin(self.number, Stage::Resample);
+        if observer.cancelled() {
+            return Err(CascadeError::Cancelled);
+        }
+        let first = random.below(merged.len() as u64) as usize;
+        let kept = farthest_point_sampling(&merged, size, first);
+        Ok((kept.iter().map(|&i| merged[i as usize]).collect(), previous))
+    }
+
+    /// Runs every patch, each into its own part of the merged cloud `[H * 2N]` and of the feature
+    /// table `[n, C]` (empty at the last level).
+    fn run_units(
+        &self,
+        patches: &Patches,
+        skip: Option<&SkipNeighbours>,
+        workers: &Workers,
+        observer: &dyn Observer,
+    ) -> Result<(Vec<Point>, Vec<f32>), CascadeError> {
+        let channels = if self.last { 0 } else { workers.shape().channels };
+        let mut merged = vec![[0.0; 3]; patches.len() * 2 * patches.size];
+        let mut features = vec![0.0; self.points.len() * channels];
+
+        let mut tasks = Vec::with_capacity(patches.len());
+        let mut rest = &mut features[..];
+        for (p, dense) in merged.chunks_exact_mut(2 * patches.size).enumerate() {
+            let rows = patches.row_starts[p + 1] - patches.row_starts[p];
+            let (mine, others) = rest.split_at_mut(rows * channels);
+            rest = others;
+            tasks.push(PatchTask { patch: p, dense, features: mine });
+        }
+        let (done, total) = (AtomicUsize::new(0), tasks.len());
+        tasks.into_par_iter().try_for_each(|task| {
+            if observer.cancelled() {
+                return Err(CascadeError::Cancelled);
+            }
+            workers.with_worker(|worker| self.run_patch(task, patches, skip, worker))?;
+            observer.advance(done.fetch_add(1, Ordering::Relaxed) + 1, total);
+            Ok(())
+        })?;
+        Ok((merged, features))
+    }
+
+    fn run_patch(
+        &self,
+        task: PatchTask<'_>,
+        patches: &Patches,
+        skip: Option<&SkipNeighbours>,
+        worker: &mut Worker,
+    ) -> Result<(), CascadeError> {
+        let members = patches.members(task.patch);
+        let sphere = Sphere::around(members.iter().map(|&i| self.points[i as usize]));
+        worker.points.clear();
+        worker.points.extend(members.iter().flat_map(|&i| sphere.normalise(self.points[i as usize])));
+        worker.skip_indices.clear();
+        worker.skip_distances.clear();
+        if let Some(skip) = skip {
+            for &i in members {
+                let five = i as usize * SKIP_NEIGHBOURS..(i as usize + 1) * SKIP_NEIGHBOURS;
+                worker.skip_indices.extend_from_slice(&skip.rows[five.clone()]);
+                worker.skip_distances.extend_from_slice(&skip.distances[five]);
+            }
+        }
+        let batch = Batch {
+            patches: 1,
+            patch_points: members.len(),
+            points: &worker.points,
+            skip: self.previous.as_ref().map(|previous| SkipInput {
+                features: &previous.features,
+                indices: &worker.skip_indices,
+                distances: &worker.skip_distances,
+            }),
+            want_features: !self.last,
+        };
+        worker.session.run(self.unit, &batch, &mut worker.output)?;
+
+        for (point, made) in task.dense.iter_mut().zip(worker.output.dense.chunks_exact(3)) {
+            *point = sphere.restore([made[0], made[1], made[2]]);
+        }
+        if !self.last {
+            let channels = worker.output.features.len() / members.len();
+            for (row, place) in task.features.chunks_exact_mut(channels).zip(patches.owned(task.patch)) {
+                row.copy_from_slice(&worker.output.features[place * channels..][..channels]);
+            }
+        }
+        Ok(())
+    }
+}
+
+/// One patch's share of the level's output.
+struct PatchTask<'a> {
+    patch: usize,
+    /// `[2N]` points of the merged cloud.
+    dense: &'a mut [Point],
+    /// Rows of the points that the patch owns.
+    features: &'a mut [f32],
+}
+
+impl SkipNeighbours {
+    fn find(previous: &Previous, points: &[Point]) -> Self {
+        let tree = KdTree::new(&previous.points);
+        let mut rows = vec![0; points.len() * SKIP_NEIGHBOURS];
+        let mut distances = vec![0.0; points.len() * SKIP_NEIGHBOURS];
+        rows.par_chunks_exact_mut(SKIP_NEIGHBOURS)
+            .zip(distances.par_chunks_exact_mut(SKIP_NEIGHBOURS))
+            .zip(points)
+            .for_each_init(Vec::new, |found, ((rows, distances), &point)| {
+                tree.nearest(point, SKIP_NEIGHBOURS, found);
+                for (k, neighbour) in found.iter().enumerate() {
+                    rows[k] = i64::from(previous.rows[neighbour.index as usize]);
+                    distances[k] = neighbour.distance_squared;
+                }
+            });
+        Self { rows, distances }
+    }
+}
+
+/// The unit sphere of a patch: its centroid and the largest distance to it.
+struct Sphere {
+    centre: [f64; 3],
+    radius: f64,
+}
+
+impl Sphere {
+    fn around(points: impl Iterator<Item = Point> + Clone) -> Self {
+        let mut centre = [0.0; 3];
+        let mut count = 0.0;
+        for p in points.clone() {
+            count += 1.0;
+            for a in 0..3 {
+                centre[a] += f64::from(p[a]);
+            }
+        }
+        centre = centre.map(|c| c / count);
+        let squared = |p: Point| (0..3).map(|a| (f64::from(p[a]) - centre[a]).powi(2)).sum::<f64>();
+        let radius = points.map(squared).fold(0.0, f64::max).sqrt();
+        // Points that all coincide have no radius; any other value leaves them where they are.
+        Self { centre, radius: if radius > 0.0 { radius } else { 1.0 } }
+    }
+
+    fn normalise(&self, p: Point) -> Point {
+        std::array::from_fn(|a| ((f64::from(p[a]) - self.centre[a]) / self.radius) as f32)
+    }
+
+    fn restore(&self, p: Point) -> Point {
+        std::array::from_fn(|a| (f64::from(p[a]) * self.radius + self.centre[a]) as f32)
+    }
+}

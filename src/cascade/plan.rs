@@ -1,0 +1,116 @@
+//! From a target to the sizes of the levels.
+
+use super::CascadeError;
+use crate::backend::UnitShape;
+
+/// The highest ratio: six levels.
+pub const MAX_RATIO: u32 = 64;
+
+/// How many points are wanted.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Target {
+    /// So many times the finite input points, 1 to 64, rounded to the nearest whole number.
+    Ratio(f64),
+    /// Exactly so many points, 1 to 64 times the finite input points.
+    Points(u64),
+}
+
+impl Target {
+    /// Points out for `points_in` finite points in: known before any work.
+    ///
+    /// # Errors
+    /// [`CascadeError::Ratio`] or [`CascadeError::Points`] when it is outside 1 to 64.
+    pub fn points_out(self, points_in: u64) -> Result<u64, CascadeError> {
+        match self {
+            Self::Ratio(ratio) if (1.0..=f64::from(MAX_RATIO)).contains(&ratio) => {
+                Ok((ratio * points_in as f64).round() as u64)
+            }
+            Self::Ratio(ratio) => Err(CascadeError::Ratio(ratio)),
+            Self::Points(points)
+                if points >= points_in && points <= points_in.saturating_mul(u64::from(MAX_RATIO)) =>
+            {
+                Ok(points)
+            }
+            Self::Points(points) => Err(CascadeError::Points { wanted: points, from: points_in }),
+        }
+    }
+}
+
+/// The sizes after each level: doubling, and the target last.
+#[derive(Debug, PartialEq, Eq)]
+pub(super) struct Plan {
+    pub(super) sizes: Vec<usize>,
+}
+
+impl Plan {
+    /// `finite` input points, of which `distinct` differ.
+    pub(super) fn new(
+        target: Target,
+        finite: usize,
+        distinct: usize,
+        duplicates: usize,
+        shape: UnitShape,
+    ) -> Result<Self, CascadeError> {
+        let wanted = target.points_out(finite as u64)? as usize;
+        let needed = shape.neighbours + 1;
+        if distinct < needed {
+            return Err(CascadeError::TooFewPoints { distinct, duplicates, needed });
+        }
+        if wanted > distinct.saturating_mul(MAX_RATIO as usize) {
+            return Err(CascadeError::TooManyDuplicates { distinct, total: finite });
+        }
+        let mut sizes = Vec::new();
+        let mut size = distinct;
+        while sizes.is_empty() || size < wanted {
+            size *= 2;
+            sizes.push(size.min(wanted));
+        }
+        Ok(Self { sizes })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SHAPE: UnitShape = UnitShape { patch_size: 312, neighbours: 32, channels: 264 };
+
+    fn sizes(target: Target, finite: usize, distinct: usize) -> Vec<usize> {
+        Plan::new(target, finite, distinct, finite - distinct, SHAPE).unwrap().sizes
+    }
+
+    #[test]
+    fn levels_double_and_the_last_meets_the_target() {
+        for (ratio, expected) in [
+            (1.0, vec![1000]),
+            (1.5, vec![1500]),
+            (2.0, vec![2000]),
+            (2.001, vec![2000, 2001]),
+            (7.3, vec![2000, 4000, 7300]),
+            (16.0, vec![2000, 4000, 8000, 16000]),
+            (64.0, vec![2000, 4000, 8000, 16000, 32000, 64000]),
+        ] {
+            assert_eq!(sizes(Target::Ratio(ratio), 1000, 1000), expected, "ratio {ratio}");
+        }
+        assert_eq!(sizes(Target::Points(1001), 1000, 1000), [1001]);
+    }
+
+    #[test]
+    fn duplicates_count_towards_the_target() {
+        assert_eq!(sizes(Target::Ratio(2.0), 1000, 400), [800, 1600, 2000]);
+    }
+
+    #[test]
+    fn impossible_targets_are_refused() {
+        for ratio in [0.99, 64.01, -1.0, 0.0, f64::NAN, f64::INFINITY] {
+            assert!(matches!(Target::Ratio(ratio).points_out(10), Err(CascadeError::Ratio(_))), "{ratio}");
+        }
+        for points in [0, 9, 641] {
+            assert!(matches!(Target::Points(points).points_out(10), Err(CascadeError::Points { .. })));
+        }
+        let few = Plan::new(Target::Ratio(2.0), 40, 32, 8, SHAPE).unwrap_err();
+        assert!(few.to_string().contains("at least 33"), "{few}");
+        let same = Plan::new(Target::Ratio(64.0), 1000, 400, 600, SHAPE).unwrap_err();
+        assert!(matches!(same, CascadeError::TooManyDuplicates { distinct: 400, total: 1000 }));
+    }
+}

@@ -1,0 +1,179 @@
+//! `densecloud upsample`: a file in, a denser file out.
+
+use std::fs::File;
+use std::io::{self, BufReader, BufWriter, IsTerminal, Write};
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use clap::{ArgGroup, Args};
+use indicatif::{ProgressBar, ProgressStyle};
+
+use super::CliError;
+use super::engine_args::EngineArgs;
+use crate::cascade::{Settings, Target};
+use crate::cloud::Cloud;
+use crate::engine::{Job, Outcome, ProgressHandle, Request};
+use crate::formats::{
+    CloudReader, CloudWriter, Format, FormatError, Header, Limits, Scalar, read_cloud_file,
+};
+
+/// Make a cloud denser.
+#[derive(Debug, Args)]
+#[command(group = ArgGroup::new("target"), after_help = "\
+Examples:
+  densecloud upsample scan.ply dense.ply --ratio 4
+  densecloud upsample scan.xyz dense.ply --points 1000000
+  cat scan.ply | densecloud upsample - - --ratio 2.5 > dense.ply")]
+pub(super) struct UpsampleArgs {
+    /// The sparse cloud: PLY or XYZ, recognised by its content; `-` for standard input
+    input: PathBuf,
+
+    /// The dense cloud: .ply or .xyz (another or no extension: as the input); `-` for standard output
+    output: PathBuf,
+
+    /// Points out for each point in, any number from 1 to 64 [default: 4]
+    #[arg(short, long, value_name = "R", group = "target")]
+    ratio: Option<f64>,
+
+    /// Points out, exactly: 1 to 64 times the points in
+    #[arg(short = 'n', long, value_name = "N", group = "target")]
+    points: Option<u64>,
+
+    /// Chooses among equally good results; the same seed gives the same bytes
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+
+    /// How many patches each point lies in, on average: more is slower
+    #[arg(long, value_name = "X", default_value_t = Settings::default().overlap)]
+    overlap: f64,
+
+    /// Say nothing but errors
+    #[arg(short, long)]
+    quiet: bool,
+
+    #[command(flatten)]
+    engine: EngineArgs,
+}
+
+pub(super) fn run(args: &UpsampleArgs) -> Result<(), CliError> {
+    let target = match (args.ratio, args.points) {
+        (None, Some(points)) => Target::Points(points),
+        (ratio, _) => Target::Ratio(ratio.unwrap_or(4.0)),
+    };
+    // A bad ratio should be told before a long read.
+    if let Target::Ratio(_) = target {
+        target.points_out(1).map_err(|e| CliError::Usage(e.to_string()))?;
+    }
+    let start = Instant::now();
+    let (cloud, header) = read(&args.input)?;
+    let format = output_format(&args.output, header.format);
+    let note = |text: String| {
+        if !args.quiet {
+            eprintln!("densecloud: {text}");
+        }
+    };
+    for warning in cloud.warnings() {
+        note(format!("warning: {warning}"));
+    }
+
+    let points_in = cloud.positions.len();
+    let settings = Settings { overlap: args.overlap, seed: args.seed };
+    let engine = args.engine.engine()?;
+    let fail = |e: crate::engine::EngineError| CliError::file(&args.input, e);
+    let job = engine.submit(Request { positions: cloud.positions, target, settings }).map_err(fail)?;
+    let outcome = wait(job, args.quiet).map_err(fail)?;
+    for warning in outcome.warnings() {
+        note(format!("warning: {warning}"));
+    }
+    write(&args.output, format, &outcome)?;
+    note(format!(
+        "{points_in} -> {} points in {:.1} s ({})",
+        outcome.positions.len(),
+        start.elapsed().as_secs_f64(),
+        shares(&outcome),
+    ));
+    Ok(())
+}
+
+fn read(path: &Path) -> Result<(Cloud, Header), CliError> {
+    let read = if path == Path::new("-") {
+        CloudReader::open(BufReader::new(io::stdin().lock()), Limits::default()).and_then(|reader| {
+            let header = reader.header().clone();
+            Ok((reader.read()?, header))
+        })
+    } else {
+        read_cloud_file(path)
+    };
+    read.map_err(|e| CliError::file(path, e))
+}
+
+/// The kind that the output's extension names, else the input's; where both are the same kind, in
+/// the input's encoding and number type.
+fn output_format(path: &Path, input: Format) -> Format {
+    match (Format::from_extension(path), input) {
+        (Some(Format::Xyz), _) => Format::Xyz,
+        // Text has no width that could be kept; doubles lose nothing of it.
+        (Some(Format::Ply { encoding, .. }), Format::Xyz) => Format::Ply { encoding, scalar: Scalar::F64 },
+        _ => input,
+    }
+}
+
+/// Waits with a progress bar on standard error if that is a terminal.
+fn wait(job: Job, quiet: bool) -> Result<Outcome, crate::engine::EngineError> {
+    if quiet || !io::stderr().is_terminal() {
+        return job.wait();
+    }
+    let handle = job.progress_handle();
+    let waiter = std::thread::spawn(move || job.wait());
+    let bar = ProgressBar::new(1000);
+    if let Ok(style) = ProgressStyle::with_template("{msg:28} [{bar:30}] {percent:>3} %  {eta} left") {
+        bar.set_style(style.progress_chars("=> "));
+    }
+    while !waiter.is_finished() {
+        show(&bar, &handle);
+        std::thread::sleep(Duration::from_millis(50));
+    }
+    bar.finish_and_clear();
+    waiter.join().unwrap_or_else(|_| Err(crate::engine::EngineError::Cancelled))
+}
+
+fn show(bar: &ProgressBar, handle: &ProgressHandle) {
+    let progress = handle.progress();
+    if let Some(stage) = progress.stage {
+        bar.set_message(format!("level {} of {}: {}", progress.level, progress.levels, stage.name()));
+    }
+    bar.set_position((progress.fraction * 1000.0) as u64);
+}
+
+/// Writes beside the target and renames, so that no failure leaves half a file under its name.
+fn write(path: &Path, format: Format, outcome: &Outcome) -> Result<(), CliError> {
+    let fail = |e: FormatError| CliError::file(path, e);
+    if path == Path::new("-") {
+        return encode(BufWriter::new(io::stdout().lock()), format, outcome).map_err(fail);
+    }
+    let mut part = path.as_os_str().to_owned();
+    part.push(".part");
+    let part = PathBuf::from(part);
+    let file = File::create(&part).map_err(|e| CliError::file(path, e))?;
+    let written = encode(BufWriter::with_capacity(1 << 20, file), format, outcome)
+        .and_then(|()| Ok(std::fs::rename(&part, path)?));
+    written.map_err(|e| {
+        // The first error is the one to report.
+        let _ = std::fs::remove_file(&part);
+        fail(e)
+    })
+}
+
+fn encode(sink: impl Write, format: Format, outcome: &Outcome) -> Result<(), FormatError> {
+    let mut writer = CloudWriter::new(sink, format, outcome.positions.len() as u64)?;
+    writer.write(&outcome.positions)?;
+    Ok(writer.finish()?.flush()?)
+}
+
+fn shares(outcome: &Outcome) -> String {
+    let total = outcome.stages.total().as_secs_f64().max(f64::MIN_POSITIVE);
+    let share = |(stage, time): (crate::cascade::Stage, Duration)| {
+        format!("{} {:.0} %", stage.name(), 100.0 * time.as_secs_f64() / total)
+    };
+    outcome.stages.iter().map(share).collect::<Vec<_>>().join(", ")
+}

@@ -1,0 +1,183 @@
+//! One request on its way through the engine.
+
+use std::future::Future;
+use std::panic::AssertUnwindSafe;
+use std::pin::Pin;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::task::{Context, Poll};
+
+use tokio::sync::oneshot;
+
+use super::progress::{Progress, StageTimes, Watch};
+use super::queue::{Permit, Queue};
+use super::{EngineError, Request};
+use crate::backend::Workers;
+use crate::cascade;
+use crate::cloud::Position;
+
+/// A request that was admitted. Await it, or [`Job::wait`] for it; drop it to stop the work within
+/// one batch of patches.
+#[must_use = "dropping a job cancels it"]
+pub struct Job {
+    queue: Arc<Queue>,
+    task: Arc<Task>,
+    // Tokio's channel because it can be awaited and waited for; it needs no runtime.
+    result: oneshot::Receiver<Result<Outcome, EngineError>>,
+}
+
+/// A finished request.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Outcome {
+    /// The dense cloud.
+    pub positions: Vec<Position>,
+    /// Points left out because a coordinate was NaN or infinite.
+    pub dropped_non_finite: usize,
+    /// Points that coincided with an earlier one.
+    pub duplicates: usize,
+    /// How long each stage took, over all levels.
+    pub stages: StageTimes,
+}
+
+impl Outcome {
+    /// What a person should know about how the input was treated, a sentence each.
+    #[must_use]
+    pub fn warnings(&self) -> Vec<String> {
+        let mut warnings = Vec::new();
+        if self.dropped_non_finite > 0 {
+            warnings.push(format!("{} points left out: NaN or infinite", self.dropped_non_finite));
+        }
+        if self.duplicates > 0 {
+            warnings.push(format!(
+                "{} points coincide with another; they count towards the size alone",
+                self.duplicates
+            ));
+        }
+        warnings
+    }
+}
+
+/// What queue, job thread and caller share.
+pub(super) struct Task {
+    watch: Watch,
+    // Taken by the job thread that runs it; dropped with the task when nobody does.
+    work: Mutex<Option<Work>>,
+}
+
+struct Work {
+    request: Request,
+    // Lives here, not with the caller: a caller who leaves must not free points that are still
+    // being computed.
+    permit: Permit,
+    result: oneshot::Sender<Result<Outcome, EngineError>>,
+}
+
+impl Task {
+    pub(super) fn cancel(&self) {
+        self.watch.cancel();
+        self.take();
+    }
+
+    fn take(&self) -> Option<Work> {
+        self.work.lock().unwrap_or_else(PoisonError::into_inner).take()
+    }
+}
+
+impl Job {
+    pub(super) fn queue(queue: &Arc<Queue>, request: Request, points_out: u64) -> Result<Self, EngineError> {
+        let permit = queue.admit(points_out)?;
+        let (sender, result) = oneshot::channel();
+        let work = Work { request, permit, result: sender };
+        let task = Arc::new(Task { watch: Watch::new(), work: Mutex::new(Some(work)) });
+        queue.push(Arc::clone(&task));
+        Ok(Self { queue: Arc::clone(queue), task, result })
+    }
+
+    /// How far it is.
+    #[must_use]
+    pub fn progress(&self) -> Progress {
+        self.task.watch.progress()
+    }
+
+    /// Something that tells how far it is while the job itself is being waited for.
+    #[must_use]
+    pub fn progress_handle(&self) -> ProgressHandle {
+        ProgressHandle(Arc::clone(&self.task))
+    }
+
+    /// Blocks until it is done. Not for async code: await the job there.
+    ///
+    /// # Errors
+    /// As the job's own.
+    pub fn wait(mut self) -> Result<Outcome, EngineError> {
+        let result = std::mem::replace(&mut self.result, oneshot::channel().1);
+        result.blocking_recv().unwrap_or(Err(EngineError::Cancelled))
+    }
+}
+
+/// Tells how far a job is; keeps nothing running.
+#[derive(Clone)]
+pub struct ProgressHandle(Arc<Task>);
+
+impl ProgressHandle {
+    /// How far it is.
+    #[must_use]
+    pub fn progress(&self) -> Progress {
+        self.0.watch.progress()
+    }
+}
+
+impl Future for Job {
+    type Output = Result<Outcome, EngineError>;
+
+    fn poll(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Self::Output> {
+        // A sender that is gone without a word was cancelled with its task.
+        Pin::new(&mut self.result).poll(context).map(|r| r.unwrap_or(Err(EngineError::Cancelled)))
+    }
+}
+
+impl Drop for Job {
+    fn drop(&mut self) {
+        self.task.watch.cancel();
+        self.queue.remove(&self.task);
+    }
+}
+
+/// A job thread's life: one task after another until the queue closes.
+pub(super) fn work(queue: &Queue, workers: &Workers) {
+    while let Some(task) = queue.next() {
+        if let Some(work) = task.take() {
+            run(queue, workers, &task, work);
+        }
+    }
+}
+
+fn run(queue: &Queue, workers: &Workers, task: &Task, work: Work) {
+    let Work { request, permit, result } = work;
+    let start = std::time::Instant::now();
+    // A panic is a bug in one request; it must not take the thread, and the service, with it.
+    let done = std::panic::catch_unwind(AssertUnwindSafe(|| {
+        cascade::upsample(&request.positions, request.target, &request.settings, workers, &task.watch)
+    }));
+    let outcome = match done {
+        Ok(Ok(dense)) => {
+            queue.measured(dense.positions.len() as u64, start.elapsed());
+            Ok(Outcome {
+                positions: dense.positions,
+                dropped_non_finite: dense.dropped_non_finite,
+                duplicates: dense.duplicates,
+                stages: task.watch.finish(),
+            })
+        }
+        Ok(Err(error)) => Err(error.into()),
+        Err(panic) => Err(EngineError::Internal(message(&*panic))),
+    };
+    // Before the answer, so that a caller who has it finds its points free.
+    drop(permit);
+    // A caller who left needs no answer.
+    let _ = result.send(outcome);
+}
+
+fn message(panic: &(dyn std::any::Any + Send)) -> String {
+    let text = panic.downcast_ref::<&str>().map(|s| (*s).to_owned());
+    text.or_else(|| panic.downcast_ref::<String>().cloned()).unwrap_or_else(|| "a worker panicked".into())
+}

@@ -1,0 +1,178 @@
+//! The positions of a PLY file's vertices.
+
+use std::io::Read;
+
+use super::super::source::Source;
+use super::super::{Format, FormatError, Header, Limits, PlyEncoding, Scalar};
+use super::header::{Element, Kind, PlyHeader, Shape};
+use super::rows::{Rows, decode, truncated};
+use crate::cloud::Position;
+
+/// What a PLY header says of the cloud, checked against the limits. `source` is where the data begin.
+pub(in super::super) fn describe<R: Read>(
+    source: &Source<R>,
+    header: &PlyHeader,
+    limits: Limits,
+) -> Result<Header, FormatError> {
+    let Some((at, vertex)) = header.element("vertex") else {
+        return Err(FormatError::malformed(source.line(), "the PLY header declares no element `vertex`"));
+    };
+    let axes = axes(source, vertex)?;
+    if let Some(limit) = limits.max_points
+        && vertex.count > limit
+    {
+        return Err(FormatError::TooManyPoints { points: vertex.count, limit });
+    }
+    if let Some(limit) = limits.max_bytes
+        && header.min_len() > limit
+    {
+        return Err(FormatError::TooLarge { bytes: header.min_len(), limit });
+    }
+    let mut dropped_properties = Vec::new();
+    for (i, element) in header.elements.iter().enumerate() {
+        if i == at {
+            let others = vertex.properties.iter().enumerate().filter(|(i, _)| !axes.contains(i));
+            dropped_properties.extend(others.map(|(_, p)| p.name.clone()));
+        } else {
+            dropped_properties.push(element.name.clone());
+        }
+    }
+    let narrow = axes.iter().all(|a| match vertex.properties[*a].shape {
+        Shape::Scalar(kind) | Shape::List { item: kind, .. } => kind.fits_f32(),
+    });
+    let scalar = if narrow { Scalar::F32 } else { Scalar::F64 };
+    let format = Format::Ply { encoding: header.encoding, scalar };
+    Ok(Header { format, points: Some(vertex.count), dropped_properties })
+}
+
+/// Reads the positions and checks that all other elements are there too.
+pub(in super::super) fn read_cloud<R: Read>(
+    source: &mut Source<R>,
+    header: &PlyHeader,
+) -> Result<Vec<Position>, FormatError> {
+    let mut positions = Vec::new();
+    for element in &header.elements {
+        if element.name == "vertex" {
+            positions = read_positions(source, header.encoding, element)?;
+        } else {
+            Rows::new(source, header.encoding, element).skip_all()?;
+        }
+    }
+    source.expect_end("the elements that the header counts")?;
+    Ok(positions)
+}
+
+/// Reads the element `vertex`.
+pub(super) fn read_positions<R: Read>(
+    source: &mut Source<R>,
+    encoding: PlyEncoding,
+    vertex: &Element,
+) -> Result<Vec<Position>, FormatError> {
+    let axes = axes(source, vertex)?;
+    match (encoding, vertex.stride()) {
+        (PlyEncoding::BinaryLittleEndian, Some(_)) => read_stride::<R, false>(source, vertex, axes),
+        (PlyEncoding::BinaryBigEndian, Some(_)) => read_stride::<R, true>(source, vertex, axes),
+        _ => read_rows(source, encoding, vertex, axes),
+    }
+}
+
+/// Where `x`, `y` and `z` stand among the properties.
+fn axes<R: Read>(source: &Source<R>, vertex: &Element) -> Result<[usize; 3], FormatError> {
+    let mut axes = [0; 3];
+    for (axis, name) in axes.iter_mut().zip(["x", "y", "z"]) {
+        let found = vertex.properties.iter().position(|p| p.name == name);
+        *axis =
+            found.filter(|i| matches!(vertex.properties[*i].shape, Shape::Scalar(_))).ok_or_else(|| {
+                FormatError::malformed(source.line(), format!("the vertices have no number `{name}`"))
+            })?;
+    }
+    Ok(axes)
+}
+
+/// Rows of equal length: whole blocks at a time, from the buffer.
+fn read_stride<R: Read, const BIG: bool>(
+    source: &mut Source<R>,
+    vertex: &Element,
+    axes: [usize; 3],
+) -> Result<Vec<Position>, FormatError> {
+    let mut offsets = Vec::with_capacity(vertex.properties.len());
+    let mut stride = 0;
+    for property in &vertex.properties {
+        offsets.push(stride);
+        if let Shape::Scalar(kind) = property.shape {
+            stride += kind.size();
+        }
+    }
+    let columns = axes.map(|a| {
+        let kind = match vertex.properties[a].shape {
+            Shape::Scalar(kind) | Shape::List { item: kind, .. } => kind,
+        };
+        (offsets[a], kind)
+    });
+    let mut positions: Vec<Position> = Vec::new();
+    while (positions.len() as u64) < vertex.count {
+        if !source.ensure(stride)? {
+            return Err(truncated(source.offset(), vertex, positions.len() as u64));
+        }
+        let left = usize::try_from(vertex.count - positions.len() as u64).unwrap_or(usize::MAX);
+        let rows = left.min(source.buffered().len() / stride);
+        let block = &source.buffered()[..rows * stride];
+        decode_block::<BIG>(block, stride, columns, &mut positions);
+        source.consume(rows * stride);
+    }
+    Ok(positions)
+}
+
+/// Appends the positions of whole rows. The usual types have loops of their own, so that no type is
+/// looked at a point.
+fn decode_block<const BIG: bool>(
+    block: &[u8],
+    stride: usize,
+    columns: [(usize, Kind); 3],
+    positions: &mut Vec<Position>,
+) {
+    let offsets = columns.map(|(offset, _)| offset);
+    let rows = block.chunks_exact(stride);
+    match columns.map(|(_, kind)| kind) {
+        [Kind::F32, Kind::F32, Kind::F32] => positions.extend(rows.map(|row| {
+            offsets.map(|o| {
+                let word = [row[o], row[o + 1], row[o + 2], row[o + 3]];
+                f64::from(if BIG { f32::from_be_bytes(word) } else { f32::from_le_bytes(word) })
+            })
+        })),
+        [Kind::F64, Kind::F64, Kind::F64] => positions.extend(rows.map(|row| {
+            offsets.map(|o| {
+                let mut word = [0; 8];
+                word.copy_from_slice(&row[o..o + 8]);
+                if BIG { f64::from_be_bytes(word) } else { f64::from_le_bytes(word) }
+            })
+        })),
+        _ => positions.extend(rows.map(|row| columns.map(|(o, kind)| decode(kind, BIG, &row[o..])))),
+    }
+}
+
+/// Text, and rows with lists in them.
+fn read_rows<R: Read>(
+    source: &mut Source<R>,
+    encoding: PlyEncoding,
+    vertex: &Element,
+    axes: [usize; 3],
+) -> Result<Vec<Position>, FormatError> {
+    let columns: Vec<(Shape, Option<usize>)> = (vertex.properties.iter().enumerate())
+        .map(|(i, property)| (property.shape, axes.iter().position(|a| *a == i)))
+        .collect();
+    let mut positions = Vec::new();
+    let mut rows = Rows::new(source, encoding, vertex);
+    while rows.begin()? {
+        let mut position = [0.0; 3];
+        for (shape, axis) in &columns {
+            match (shape, axis) {
+                (Shape::Scalar(kind), Some(axis)) => position[*axis] = rows.number(*kind)?,
+                _ => rows.skip(*shape)?,
+            }
+        }
+        rows.end()?;
+        positions.push(position);
+    }
+    Ok(positions)
+}

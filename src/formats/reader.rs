@@ -1,0 +1,136 @@
+//! Reading a cloud in whatever format it comes.
+
+use std::fs::File;
+use std::io::Read;
+use std::path::Path;
+
+use super::ply::{self, PlyHeader};
+use super::source::Source;
+use super::text::shown;
+use super::xyz::XyzReader;
+use super::{Format, FormatError, Header, Limits};
+use crate::cloud::Cloud;
+
+/// Reads one cloud: [`open`](Self::open) takes the header, [`read`](Self::read) the points.
+///
+/// It buffers by itself, so that `R` needs no `BufReader` around it.
+pub struct CloudReader<R> {
+    source: Source<R>,
+    header: Header,
+    body: Body,
+    limits: Limits,
+}
+
+enum Body {
+    Ply(PlyHeader),
+    Xyz(XyzReader),
+}
+
+impl<R: Read> CloudReader<R> {
+    /// Recognises the format by its content and reads its header (for text: up to the first point).
+    ///
+    /// # Errors
+    /// The format is none of ours, the header is malformed, or what it claims is over a limit.
+    pub fn open(reader: R, limits: Limits) -> Result<Self, FormatError> {
+        Self::open_as(reader, limits, None)
+    }
+
+    /// As [`open`](Self::open); `expected` is the format that the file's name tells. Content wins, but
+    /// text under the name of another format is refused rather than taken for points.
+    fn open_as(reader: R, limits: Limits, expected: Option<Format>) -> Result<Self, FormatError> {
+        let mut source = Source::new(reader, limits)?;
+        match sniff(source.peek(4096)?) {
+            Sniffed::Ply => {
+                let ply = ply::parse(&mut source)?;
+                let header = ply::describe(&source, &ply, limits)?;
+                Ok(Self { source, header, body: Body::Ply(ply), limits })
+            }
+            Sniffed::Text if matches!(expected, Some(Format::Ply { .. })) => {
+                let found = "text that does not begin with the line `ply`".to_owned();
+                Err(FormatError::Unrecognised { found })
+            }
+            Sniffed::Text => {
+                let (xyz, header) = XyzReader::open(&mut source, limits)?;
+                Ok(Self { source, header, body: Body::Xyz(xyz), limits })
+            }
+            Sniffed::Other(found) => Err(FormatError::Unrecognised { found }),
+            Sniffed::Nothing => Err(FormatError::Empty("points")),
+        }
+    }
+
+    /// What is known before the points are read.
+    pub fn header(&self) -> &Header {
+        &self.header
+    }
+
+    /// Reads the points and everything after them. O(n); memory grows with the data, not with the
+    /// header's claim. NaN and infinite coordinates are read as they are.
+    ///
+    /// # Errors
+    /// The data are malformed, end early, go on after what the header counts, pass a limit, or hold no
+    /// point.
+    pub fn read(mut self) -> Result<Cloud, FormatError> {
+        let positions = match self.body {
+            Body::Ply(ply) => ply::read_cloud(&mut self.source, &ply)?,
+            Body::Xyz(xyz) => xyz.read(&mut self.source, self.limits)?,
+        };
+        if positions.is_empty() {
+            return Err(FormatError::Empty("points"));
+        }
+        Ok(Cloud { positions, dropped_properties: self.header.dropped_properties })
+    }
+}
+
+/// Reads a cloud from a file, without limits. The content tells the format; the extension only keeps
+/// text that is named `.ply` from being taken for XYZ.
+///
+/// # Errors
+/// As [`CloudReader::open`] and [`CloudReader::read`], or the file cannot be opened.
+pub fn read_cloud_file(path: &Path) -> Result<(Cloud, Header), FormatError> {
+    let expected = Format::from_extension(path);
+    let reader = CloudReader::open_as(File::open(path)?, Limits::default(), expected)?;
+    let header = reader.header.clone();
+    Ok((reader.read()?, header))
+}
+
+enum Sniffed {
+    Ply,
+    Text,
+    Other(String),
+    Nothing,
+}
+
+/// First bytes of formats that people will try, to name them in the refusal.
+const KNOWN: [(&[u8], &str); 12] = [
+    (b"LASF", "a LAS or LAZ file"),
+    (b"# .PCD", "a PCD file"),
+    (b"ASTM-E57", "an E57 file"),
+    (b"\x93NUMPY", "a NumPy file"),
+    (b"\x1F\x8B", "a gzip file"),
+    (b"\x28\xB5\x2F\xFD", "a Zstandard file"),
+    (b"PK\x03\x04", "a ZIP file"),
+    (b"glTF", "a glTF mesh"),
+    (b"solid ", "an STL mesh"),
+    (b"\x89HDF", "an HDF5 file"),
+    (b"COFF", "an OFF mesh (a cloud can be sampled from it with `densecloud sample`)"),
+    (b"OFF", "an OFF mesh (a cloud can be sampled from it with `densecloud sample`)"),
+];
+
+fn sniff(head: &[u8]) -> Sniffed {
+    if head.is_empty() {
+        return Sniffed::Nothing;
+    }
+    if let Some(rest) = head.strip_prefix(b"ply")
+        && rest.first().is_none_or(u8::is_ascii_whitespace)
+    {
+        return Sniffed::Ply;
+    }
+    if let Some((_, name)) = KNOWN.iter().find(|(magic, _)| head.starts_with(magic)) {
+        return Sniffed::Other((*name).to_owned());
+    }
+    let control = |b: &u8| *b < 0x20 && !b.is_ascii_whitespace() && !matches!(*b, 0x0B | 0x1A);
+    if head.iter().any(control) {
+        return Sniffed::Other(format!("binary data that begin with {}", shown(&head[..head.len().min(8)])));
+    }
+    Sniffed::Text
+}

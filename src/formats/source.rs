@@ -1,0 +1,210 @@
+//! The buffered bytes behind every reader: lines and blocks without copying, with a byte limit.
+
+use std::io::{ErrorKind, Read};
+use std::ops::Range;
+
+use super::{FormatError, Limits, Place};
+
+/// Bytes of a first read; the buffer grows beyond only for a longer line or row.
+const BLOCK: usize = 256 * 1024;
+
+/// A longer line is refused: without a bound, a file without line ends would be held in memory whole.
+const MAX_LINE: usize = 1 << 20;
+
+/// Reads ahead into one buffer, hands out parts of it, and counts bytes and lines.
+///
+/// A `BufReader` is not enough: sniffing needs to see further than the first bytes that a socket
+/// delivers, and rows and lines that straddle two blocks should not need a copy of their own.
+pub(super) struct Source<R> {
+    inner: R,
+    buffer: Vec<u8>,
+    start: usize,
+    end: usize,
+    ended: bool,
+    pulled: u64,
+    max_bytes: Option<u64>,
+    line: u64,
+    newline: u8,
+}
+
+impl<R: Read> Source<R> {
+    /// Skips a UTF-8 byte order mark and finds out what ends a line.
+    pub(super) fn new(inner: R, limits: Limits) -> Result<Self, FormatError> {
+        let mut source = Self {
+            inner,
+            buffer: vec![0; BLOCK],
+            start: 0,
+            end: 0,
+            ended: false,
+            pulled: 0,
+            max_bytes: limits.max_bytes,
+            line: 0,
+            newline: b'\n',
+        };
+        if source.peek(3)? == [0xEF, 0xBB, 0xBF] {
+            source.consume(3);
+        }
+        let head = source.peek(4096)?;
+        // A return that no line feed follows ends lines by itself (as on old Macs).
+        if let Some(i) = head.iter().position(|b| matches!(b, b'\n' | b'\r'))
+            && head[i] == b'\r'
+            && head.get(i + 1) != Some(&b'\n')
+        {
+            source.newline = b'\r';
+        }
+        Ok(source)
+    }
+
+    /// The next `count` bytes without consuming them; fewer at the end of the data.
+    pub(super) fn peek(&mut self, count: usize) -> Result<&[u8], FormatError> {
+        self.ensure(count)?;
+        Ok(&self.buffer[self.start..self.end.min(self.start + count)])
+    }
+
+    /// Buffers at least `count` bytes; false when the data end before.
+    pub(super) fn ensure(&mut self, count: usize) -> Result<bool, FormatError> {
+        while self.end - self.start < count {
+            if self.fill()? == 0 {
+                return Ok(false);
+            }
+        }
+        Ok(true)
+    }
+
+    /// All that is buffered and not yet consumed.
+    pub(super) fn buffered(&self) -> &[u8] {
+        &self.buffer[self.start..self.end]
+    }
+
+    /// Marks buffered bytes as read.
+    pub(super) fn consume(&mut self, count: usize) {
+        self.start = self.end.min(self.start + count);
+    }
+
+    /// Consumes and returns a number's bytes; `None` at the end of the data.
+    pub(super) fn take(&mut self, count: usize) -> Result<Option<&[u8]>, FormatError> {
+        if !self.ensure(count)? {
+            return Ok(None);
+        }
+        self.start += count;
+        Ok(Some(&self.buffer[self.start - count..self.start]))
+    }
+
+    /// Consumes `count` bytes; false when the data end before.
+    pub(super) fn skip(&mut self, mut count: u64) -> Result<bool, FormatError> {
+        loop {
+            let part = count.min((self.end - self.start) as u64);
+            // `part` is at most the length of the buffer.
+            self.start += part as usize;
+            count -= part;
+            if count == 0 {
+                return Ok(true);
+            }
+            if self.fill()? == 0 {
+                return Ok(false);
+            }
+        }
+    }
+
+    /// Consumes a line and says where it lies ([`Source::bytes`]), without its end; valid until the
+    /// next call that reads. A `\r` before the line feed is left in place: it counts as white space.
+    pub(super) fn next_line(&mut self) -> Result<Option<Range<usize>>, FormatError> {
+        let mut scanned = 0;
+        loop {
+            let unseen = &self.buffer[self.start + scanned..self.end];
+            if let Some(i) = unseen.iter().position(|b| *b == self.newline) {
+                let line = self.start..self.start + scanned + i;
+                self.start = line.end + 1;
+                self.line += 1;
+                return Ok(Some(line));
+            }
+            scanned = self.end - self.start;
+            if scanned > MAX_LINE {
+                let why = format!("the line is longer than {MAX_LINE} bytes");
+                return Err(FormatError::malformed(Place::Line(self.line + 1), why));
+            }
+            if self.fill()? == 0 {
+                if scanned == 0 {
+                    return Ok(None);
+                }
+                let line = self.start..self.end;
+                self.start = self.end;
+                self.line += 1;
+                return Ok(Some(line));
+            }
+        }
+    }
+
+    /// A range that [`Source::next_line`] gave.
+    pub(super) fn bytes(&self, range: Range<usize>) -> &[u8] {
+        &self.buffer[range]
+    }
+
+    /// The line last read.
+    pub(super) fn line(&self) -> Place {
+        Place::Line(self.line)
+    }
+
+    /// The offset of the next byte.
+    pub(super) fn offset(&self) -> Place {
+        Place::Byte(self.pulled - (self.end - self.start) as u64)
+    }
+
+    /// Reads to the end and refuses anything but padding (white space, NUL, Ctrl-Z): whatever else
+    /// follows means that the counts before it were wrong, and points would be lost without a word.
+    pub(super) fn expect_end(&mut self, after: &str) -> Result<(), FormatError> {
+        loop {
+            let padding = |b: &u8| b.is_ascii_whitespace() || matches!(b, 0 | 0x1A);
+            if let Some(i) = self.buffered().iter().position(|b| !padding(b)) {
+                self.consume(i);
+                let why = format!("data go on after {after}, which should be the last");
+                return Err(FormatError::malformed(self.offset(), why));
+            }
+            self.start = self.end;
+            if self.fill()? == 0 {
+                return Ok(());
+            }
+        }
+    }
+
+    /// Reads once more; 0 at the end of the data.
+    fn fill(&mut self) -> Result<usize, FormatError> {
+        if self.ended {
+            return Ok(0);
+        }
+        if self.start == self.end {
+            (self.start, self.end) = (0, 0);
+        }
+        if self.end == self.buffer.len() {
+            if self.start > 0 {
+                self.buffer.copy_within(self.start..self.end, 0);
+                (self.start, self.end) = (0, self.end - self.start);
+            } else {
+                self.buffer.resize(self.buffer.len() * 2, 0);
+            }
+        }
+        let mut room = self.buffer.len() - self.end;
+        if let Some(max) = self.max_bytes {
+            // One byte more than allowed tells a file at the limit from one beyond it.
+            let left = (max - self.pulled).saturating_add(1);
+            room = room.min(usize::try_from(left).unwrap_or(usize::MAX));
+        }
+        let got = loop {
+            match self.inner.read(&mut self.buffer[self.end..self.end + room]) {
+                Err(e) if e.kind() == ErrorKind::Interrupted => {}
+                other => break other?,
+            }
+        };
+        self.end += got;
+        self.ended = got == 0;
+        self.pulled += got as u64;
+        match self.max_bytes {
+            Some(limit) if self.pulled > limit => {
+                // Later calls must not take the excess for data.
+                self.ended = true;
+                Err(FormatError::TooLarge { bytes: self.pulled, limit })
+            }
+            _ => Ok(got),
+        }
+    }
+}

@@ -1,0 +1,100 @@
+//! Text clouds and text PLY: every spelling that is taken.
+
+use super::*;
+
+fn xyz(text: &str) -> (Header, Vec<Position>) {
+    let reader = CloudReader::open(text.as_bytes(), Limits::default()).expect("a header");
+    let header = reader.header().clone();
+    (header, reader.read().expect("a cloud").positions)
+}
+
+#[test]
+fn columns_may_be_separated_in_many_ways() {
+    for text in [
+        "1 2 3\n4 5 6\n",
+        "1,2,3\r\n4,5,6\r\n",
+        "1; 2; 3\n4 ;5 ;6",
+        "\u{FEFF}  1\t2\t3\n\n\n4 5 6\n\n",
+        "# a comment\n1 2 3 # one\n// another\n4 5 6 // two\n",
+        "1 2 3\r4 5 6\r",
+        "2\n1 2 3\n4 5 6\n",
+        "x y z\n1 2 3\n4 5 6\n",
+        "X,Y,Z\n1,2,3\n4,5,6\n",
+        "1e0 .2e1 3.\n+4 5 6\n",
+    ] {
+        let (header, positions) = xyz(text);
+        assert_eq!(positions, [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]], "{text:?}");
+        assert_eq!(header.format, Format::Xyz);
+        assert!(header.dropped_properties.is_empty());
+        assert_eq!(header.points, text.starts_with('2').then_some(2));
+    }
+}
+
+#[test]
+fn other_columns_are_named_and_dropped() {
+    let (header, positions) = xyz("1 2 3 0.5 wall\n4 5 6 0.5 roof\n");
+    assert_eq!(header.dropped_properties, ["column 4", "column 5"]);
+    assert_eq!(positions.len(), 2);
+    let (header, positions) = xyz("id;\"X\";\"Y\";\"Z\";class\n7;1;2;3;wall\n");
+    assert_eq!(header.dropped_properties, ["id", "class"]);
+    assert_eq!(positions, [[1.0, 2.0, 3.0]]);
+    let (header, positions) = xyz("easting,northing,height,class\n1,2,3,4\n");
+    assert_eq!(header.dropped_properties, ["class"]);
+    assert_eq!(positions, [[1.0, 2.0, 3.0]]);
+}
+
+#[test]
+fn values_that_are_no_numbers_are_read_as_such() {
+    let (_, positions) = xyz("nan 0 -inf\n1 2 3\n");
+    assert!(positions[0][0].is_nan());
+    assert_eq!(positions[0][2], f64::NEG_INFINITY);
+}
+
+#[test]
+fn broken_lines_are_named() {
+    for (text, what) in [
+        ("1 2 3\n1 two 3\n", "line 2: `two` is not a number"),
+        ("1 2 3\n\n1 2\n", "line 3: 2 columns where a point needs 3"),
+        ("1,,3,4\n", "line 1: `` is not a number"),
+        ("1 2 3\nx y z\n", "line 2: `x` is not a number"),
+        ("x y z\nx y z\n1 2 3\n", "line 2: `x` is not a number"),
+        ("5\n6\n1 2 3\n", "line 2: 1 column where"),
+        ("a,x,b,y,z\n1,2,3,4\n", "line 2: 4 columns where a point needs 5"),
+        ("3\n1 2 3\n", "the data end at line 2: the file counts 3 points, and 1 are there"),
+        ("1\n1 2 3\n4 5 6\n", "line 3: a point after the 1 that the file counts"),
+    ] {
+        let error = read(text.as_bytes()).expect_err("an error").to_string();
+        assert!(error.contains(what), "{text:?}: {error}");
+    }
+    let wide = "1 ".repeat(1001);
+    assert!(read(wide.as_bytes()).expect_err("an error").to_string().contains("1000 columns"));
+    let long = "1".repeat(3 << 20);
+    assert!(read(long.as_bytes()).expect_err("an error").to_string().contains("longer than"));
+}
+
+#[test]
+fn text_ply_is_a_row_a_line() {
+    let header = "ply\nformat ascii 1.0\nelement vertex 2\nproperty uchar red\nproperty double z\n\
+                  property list uchar int friends\nproperty int y\nproperty float x\nend_header\n";
+    let read_body = |body: &str| {
+        let text = format!("{header}{body}").replace('\n', "\r\n");
+        let reader = CloudReader::open(text.as_bytes(), Limits::default()).expect("a header");
+        assert_eq!(reader.header().dropped_properties, ["red", "friends"]);
+        assert_eq!(reader.header().format, ply(PlyEncoding::Ascii, Scalar::F64));
+        reader.read()
+    };
+    let cloud = read_body("255 3 2 7 8 2 1\n\n0 6 0 5 nan\n").expect("a cloud");
+    assert_eq!(cloud.positions[0], [1.0, 2.0, 3.0]);
+    assert!(cloud.positions[1][0].is_nan());
+    for (body, what) in [
+        ("255 3 0 2 1 9\n0 6 0 5 4\n", "line 10: `9` is more than a `vertex` row has"),
+        ("255 3 0 2\n1\n", "line 10: the line is too short"),
+        ("255 3 -1 2 1\n", "line 10: -1 is not the length of a list"),
+        ("255 three 0 2 1\n", "line 10: `three` is not a number"),
+        ("255 3 0 2 1\n", "the header counts 2 `vertex` elements, and 1 are there"),
+        ("1 3 0 2 1\n1 3 0 2 1\n1 3 0 2 1\n", "data go on after"),
+    ] {
+        let error = read_body(body).expect_err("an error").to_string();
+        assert!(error.contains(what), "{body:?}: {error}");
+    }
+}
