@@ -15,7 +15,7 @@ FILE = "checkpoint.pt"
 
 
 def save(path: Path, state: Dict[str, Any]) -> None:
-    """Writes beside the file and renames, so that a kill leaves the old checkpoint or the new one, never half of one."""
+    """Writes beside the file and renames, so that a kill leaves a whole checkpoint, old or new."""
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_suffix(".tmp")
     torch.save({**state, "version": VERSION}, temporary)

@@ -6,7 +6,7 @@ shape's bounding box of [-1, 1]. Any two levels of the ladder are a training pai
 
 import json
 from pathlib import Path
-from typing import Iterable, List, NamedTuple
+from typing import Dict, Iterable, List, NamedTuple
 
 import numpy as np
 import torch
@@ -21,10 +21,11 @@ def level_size(level: int) -> int:
 
 
 class Clouds(NamedTuple):
-    """levels[k]: [shapes, 625*2^k, 3] f32; weights [shapes]: how often a shape is drawn; spread [shapes]: radius of the
-    area that one point stands for, times the square root of the number of points (so at n points: spread/sqrt(n))."""
+    """sources: {"source", "licence"} of each shape where known. levels[k]: [shapes, 625*2^k, 3] f32.
+    weights [shapes]: how often a shape is drawn. spread [shapes]: of n points, k lie within spread * sqrt(k/n) of another."""
 
     names: List[str]
+    sources: List[Dict[str, str]]
     levels: List[torch.Tensor]
     weights: torch.Tensor
     spread: torch.Tensor
@@ -53,7 +54,9 @@ def load(path: Path, device: torch.device, held_out: bool) -> Clouds:
     faces = torch.tensor([meta["faces"][i] for i in chosen], dtype=torch.float32, device=device)
     weights = (faces / 10_000).clamp(0.25, 2.0).sqrt()
     names = [meta["names"][i] for i in chosen]
-    return Clouds(names, tensors, weights / weights.sum(), torch.stack([_spread(level) for level in tensors[2]]))
+    sources = [meta.get("sources", [{}] * len(meta["names"]))[i] for i in chosen]
+    spread = torch.stack([_spread(level) for level in tensors[2]])
+    return Clouds(names, sources, tensors, weights / weights.sum(), spread)
 
 
 def _choose(names: Iterable[str], held_out: bool) -> List[int]:

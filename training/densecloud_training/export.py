@@ -1,14 +1,23 @@
-"""Writes a cascade's units as ONNX files: `python -m densecloud_training.export CHECKPOINT OUT_DIR`."""
+"""Writes a trained cascade as a model folder: `python -m densecloud_training.export RUN OUT_DIR`.
+
+The folder gets one ONNX file a unit, the model card, the checkpoint that training can go on from, and the log with its
+curves. `--random` writes unit files of an untrained cascade instead, for tests of a runtime.
+"""
 
 import argparse
+import shutil
 from pathlib import Path
-from typing import List
+from typing import List, Optional
 
 import onnx
 import torch
 
+from . import checkpoint as checkpoints
 from . import network
+from .card import write_card
 from .onnx_unit import build_unit
+from .plot import draw, read_log
+from .train import LOG
 
 
 def export_units(cascade: network.Cascade, folder: Path) -> List[Path]:
@@ -23,16 +32,34 @@ def export_units(cascade: network.Cascade, folder: Path) -> List[Path]:
     return paths
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
+def export_model(run: Path, folder: Path, name: str) -> None:
+    """The model folder of a run."""
+    cascade, state, trained = checkpoints.load_cascade(run)
+    units = export_units(cascade, folder)
+    log = read_log(run) if (run / LOG).exists() else []
+    print(write_card(folder, name, units, state, trained, log))
+    shutil.copyfile(run / checkpoints.FILE, folder / checkpoints.FILE)
+    if log:
+        shutil.copyfile(run / LOG, folder / LOG)
+        draw(log, folder / "training.png")
+
+
+def main(values: Optional[List[str]] = None) -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("run", type=Path, nargs="?", help="folder of a run: checkpoint.pt and log.jsonl")
     parser.add_argument("out", type=Path)
-    parser.add_argument("--random", action="store_true", help="untrained weights, for tests of a runtime")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--levels", type=int, default=4)
-    arguments = parser.parse_args()
-    torch.manual_seed(arguments.seed)
-    for path in export_units(network.Cascade(arguments.levels), arguments.out):
-        print(path)
+    parser.add_argument("--name", default="default", help="the model's name in its card")
+    parser.add_argument("--random", action="store_true", help="untrained units only")
+    parser.add_argument("--seed", type=int, default=0, help="of --random")
+    parser.add_argument("--levels", type=int, default=4, help="of --random")
+    arguments = parser.parse_args(values)
+    if arguments.random == (arguments.run is not None):
+        parser.error("name a run, or --random without one")
+    if arguments.random:
+        torch.manual_seed(arguments.seed)
+        export_units(network.Cascade(arguments.levels), arguments.out)
+    else:
+        export_model(arguments.run, arguments.out, arguments.name)
 
 
 if __name__ == "__main__":

@@ -26,8 +26,8 @@ class Result(NamedTuple):
 def run_levels(steps: Sequence[Step], batch: Batch, data: Data, frozen: int = 0) -> Result:
     """Runs `steps` one after the other; the first `frozen` of them without gradient.
 
-    Each next patch: a random predicted point is the seed (moved towards the middle as `data.seed_pull` says), the input is its N
-    nearest predictions, and the reference halves around it.
+    Each next patch: a random predicted point is the seed (moved towards the middle as `data.seed_pull` says), the input
+    is its N nearest predictions, and the reference halves around it.
     """
     points, reference = batch.points, batch.reference
     seed = torch.zeros_like(points[:, :1])

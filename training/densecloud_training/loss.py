@@ -8,7 +8,7 @@ from . import native
 
 
 class Nearest(NamedTuple):
-    """Squared distances: each prediction to its nearest reference [B,P], each reference to its nearest prediction [B,Q]."""
+    """Squared distances [B,P] of predictions to their nearest reference, and [B,Q] of references to theirs."""
 
     to_reference: torch.Tensor
     to_prediction: torch.Tensor

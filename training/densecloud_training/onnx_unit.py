@@ -150,15 +150,13 @@ def _edge_block(graph: _Graph, features: str, block: int, k: int) -> str:
     b_rows = graph.node("Reshape", [b, edge_rows])
     c_from_a = graph.gemm(a_rows, f"{name}.c_from_a", third[:, g : 2 * g].T)
     c_edges = graph.node("Reshape", [graph.gemm(b_rows, f"{name}.c_from_b", third[:, :g].T, add=c_from_a), edges])
-    maxima = [graph.node("ReduceMax", [edge, ], axes=[1], keepdims=0) for edge in (c_edges, b, a)]
+    maxima = [graph.node("ReduceMax", [edge], axes=[1], keepdims=0) for edge in (c_edges, b, a)]
     return graph.node("Concat", [graph.node("Add", [maxima[0], own_c]), maxima[1], maxima[2], features], axis=1)
 
 
 def _neighbours(graph: _Graph, features: str) -> str:
     """Row numbers [B,N,K] of each point's nearest others in feature space."""
-    clouds = graph.node(
-        "Reshape", [features, graph.ints("to_clouds", [0, -1, network.BLOCK_CHANNELS], head="batch")]
-    )
+    clouds = graph.node("Reshape", [features, graph.ints("to_clouds", [0, -1, network.BLOCK_CHANNELS], head="batch")])
     squares = graph.node("ReduceSumSquare", [clouds], axes=[2], keepdims=1)
     turned = graph.node("Transpose", [clouds], perm=[0, 2, 1])
     doubled = graph.node("Mul", [turned, graph.floats("minus_two", -2.0)])

@@ -98,6 +98,7 @@ def find_program(given: str) -> str:
 
 def prepare(meshes: List[Path], program: str, levels: int, seed: int, jobs: int) -> Tuple[List[str], List[np.ndarray]]:
     """Names of the shapes that could be sampled, and one [shapes,n,3] array a level."""
+
     def work(item: Tuple[int, Path]):
         number, mesh = item
         try:

@@ -30,7 +30,8 @@ class Trainer:
     """A run: the cascade, the stage it is in, and everything that decides the next step."""
 
     def __init__(self, config: Config, training: cloud_sets.Clouds, budget_seconds: Optional[float]):
-        self.config, self.device, self.budget = config, training.device, budget_seconds
+        self.config, self.training, self.budget = config, training, budget_seconds
+        self.device = training.device
         self.host = random.Random(config.seed)
         np.random.seed(config.seed)
         torch.manual_seed(config.seed)
@@ -124,6 +125,7 @@ class Trainer:
             "cascade": self.cascade.state_dict(),
             "optimiser": self.optimiser.state_dict(),
             "random": checkpoints.random_state(self.host, self.device),
+            "data": [{"name": name, **source} for name, source in zip(self.training.names, self.training.sources)],
             "counters": {name: getattr(self, name) for name in names},
         }
 
@@ -143,10 +145,11 @@ class Log:
     """One JSON object a line; a run that resumes appends."""
 
     def __init__(self, path: Path):
-        self.file = open(path, "a", buffering=1)
+        self.path = path
 
     def write(self, **entry: Any) -> None:
-        self.file.write(json.dumps(entry) + "\n")
+        with open(self.path, "a") as file:
+            file.write(json.dumps(entry) + "\n")
         print(" ".join(f"{key}={value}" for key, value in entry.items()), flush=True)
 
 
@@ -175,7 +178,7 @@ def run(trainer: Trainer, out: Path, validation: Optional[Validation], arguments
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda signum, frame: stop.append(signum))
     log, meter = Log(out / LOG), Meter()
-    if trainer.step == 0 and validation:
+    if validation:
         log.write(controls=rounded(validation.controls))
     last = time.monotonic()
     next_log, next_score, next_save = last + arguments.log_every, last, last + arguments.save_every
@@ -220,9 +223,9 @@ def device_named(name: str) -> torch.device:
 def parse(values: Optional[List[str]] = None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--data", type=Path, required=True, help="the file that `prepare` wrote")
-    parser.add_argument("--out", type=Path, required=True, help="folder of the run: checkpoint and log; resumed if there")
+    parser.add_argument("--out", type=Path, required=True, help="folder of the run; resumed if a checkpoint is there")
     parser.add_argument("--config", type=Path, default=Path("default"), help="a TOML file, or `default` or `paper`")
-    parser.add_argument("--budget", type=float, help="minutes for the whole schedule; without it, its iterations count")
+    parser.add_argument("--budget", type=float, help="minutes for the whole schedule; without: its iterations")
     parser.add_argument("--device", default="auto", choices=["auto", "cpu", "cuda"])
     parser.add_argument("--threads", type=int, help="CPU threads")
     parser.add_argument("--extend", action="store_true", help="run the extension stages on a finished checkpoint")

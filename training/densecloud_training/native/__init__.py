@@ -9,7 +9,7 @@ import os
 import subprocess
 import tempfile
 import warnings
-from functools import lru_cache
+from functools import cache
 from pathlib import Path
 from typing import Optional
 
@@ -20,22 +20,22 @@ FLAGS = ["-O3", "-march=native", "-ffast-math", "-fno-finite-math-only", "-std=c
 GROWTH = 12
 
 
-@lru_cache(maxsize=None)
+@cache
 def library() -> Optional[ctypes.CDLL]:
     """The built library, or None. It is kept per source, flags and processor in the user's cache folder."""
     if os.environ.get("DENSECLOUD_NATIVE", "1") == "0":
         return None
-    cache = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "densecloud"
+    folder = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "densecloud"
     try:
         processor = Path("/proc/cpuinfo").read_text().split("\n\n")[0]
         flags = next((line for line in processor.splitlines() if line.startswith("flags")), processor)
         key = hashlib.sha256(SOURCE.read_bytes() + " ".join(FLAGS).encode() + flags.encode()).hexdigest()[:16]
-        target = cache / f"kernels-{key}.so"
+        target = folder / f"kernels-{key}.so"
         if not target.exists():
-            cache.mkdir(parents=True, exist_ok=True)
+            folder.mkdir(parents=True, exist_ok=True)
             # Built beside the final name and renamed, so that two processes can start at once.
-            with tempfile.TemporaryDirectory(dir=str(cache)) as folder:
-                built = Path(folder) / "kernels.so"
+            with tempfile.TemporaryDirectory(dir=str(folder)) as scratch:
+                built = Path(scratch) / "kernels.so"
                 command = [os.environ.get("CXX", "g++"), *FLAGS, str(SOURCE), "-o", str(built)]
                 subprocess.run(command, check=True, capture_output=True, text=True)
                 os.replace(built, target)

@@ -1,0 +1,69 @@
+"""Draws a run's curves from its log: `python -m densecloud_training.plot RUN_OR_LOG OUT.png`."""
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any, Dict, List
+
+from .train import LOG
+
+
+def read_log(path: Path) -> List[Dict[str, Any]]:
+    """The entries of a log file, or of the log in a run's folder."""
+    path = path / LOG if path.is_dir() else path
+    return [json.loads(line) for line in path.read_text().splitlines() if line.strip()]
+
+
+def series(entries: List[Dict[str, Any]], key: str) -> Dict[str, Any]:
+    """{name: (minutes, values)} of a table that some entries hold under `key`; scores give their `cd`."""
+    found: Dict[str, Any] = {}
+    for entry in entries:
+        for name, value in entry.get(key, {}).items():
+            minutes, values = found.setdefault(name, ([], []))
+            minutes.append(entry["seconds"] / 60)
+            values.append(value["cd"] if isinstance(value, dict) else value)
+    return found
+
+
+def draw(entries: List[Dict[str, Any]], out: Path) -> None:
+    """Two panels: training loss by ratio, and held-out Chamfer distance over that of the midpoint rule."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    controls = [entry["controls"] for entry in entries if "controls" in entry]
+    figure, (left, right) = pyplot.subplots(1, 2, figsize=(12, 4.5))
+    for name, (minutes, values) in sorted(series(entries, "loss").items()):
+        left.plot(minutes, values, label=name, linewidth=1)
+    left.set(title="training loss (Chamfer, x 1e-3)", xlabel="minutes of training", yscale="log")
+    if controls:
+        rule = controls[-1]["midpoint"]
+        for name, (minutes, values) in series(entries, "validation").items():
+            style = {"even": "-", "random": "--", "noisy": ":"}.get(name.split()[0], "-")
+            right.plot(minutes, [value / rule[name]["cd"] for value in values], style, label=name, linewidth=1.2)
+        right.axhline(1.0, color="black", linewidth=0.8)
+    right.set(title="held-out Chamfer distance / midpoint rule's", xlabel="minutes of training", ylim=(0.5, 1.5))
+    starts: Dict[str, float] = {}
+    for entry in entries:
+        if "stage" in entry and "seconds" in entry:
+            starts.setdefault(entry["stage"], entry["seconds"] / 60)
+    for axis in (left, right):
+        for minutes in list(starts.values())[1:]:
+            axis.axvline(minutes, color="0.8", linewidth=0.8, zorder=0)
+        axis.grid(alpha=0.2)
+        axis.legend(fontsize=7)
+    figure.tight_layout()
+    figure.savefig(out, dpi=90)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("run", type=Path)
+    parser.add_argument("out", type=Path)
+    arguments = parser.parse_args()
+    draw(read_log(arguments.run), arguments.out)
+
+
+if __name__ == "__main__":
+    main()
