@@ -22,7 +22,8 @@ def level_size(level: int) -> int:
 
 class Clouds(NamedTuple):
     """sources: {"source", "licence"} of each shape where known. levels[k]: [shapes, 625*2^k, 3] f32.
-    weights [shapes]: how often a shape is drawn. spread [shapes]: of n points, k lie within spread * sqrt(k/n) of another."""
+    weights [shapes]: how often a shape is drawn. spread [shapes]: a point's k nearest of n lie within spread*sqrt(k/n).
+    """
 
     names: List[str]
     sources: List[Dict[str, str]]
