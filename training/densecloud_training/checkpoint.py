@@ -5,7 +5,6 @@ import random
 from pathlib import Path
 from typing import Any, Dict, Tuple
 
-import numpy as np
 import torch
 
 from .network import Cascade
@@ -23,11 +22,8 @@ def save(path: Path, state: Dict[str, Any]) -> None:
 
 
 def load(path: Path, device: torch.device) -> Dict[str, Any]:
-    """Reads a checkpoint onto `device`. The file is a pickle: load only files that you trust."""
-    try:
-        state = torch.load(path, map_location=device, weights_only=False)
-    except TypeError:  # PyTorch 1.x has no `weights_only`
-        state = torch.load(path, map_location=device)
+    """Reads a checkpoint onto `device`. It holds tensors and plain values only, so that loading runs no code of its."""
+    state = torch.load(path, map_location=device, weights_only=True)
     if state.get("version") != VERSION:
         raise ValueError(f"{path}: checkpoint version {state.get('version')}, this program reads {VERSION}")
     return state
@@ -51,7 +47,8 @@ def load_cascade(path: Path) -> Tuple[Cascade, Dict[str, Any], int]:
 
 
 def random_state(host: random.Random, device: torch.device) -> Dict[str, Any]:
-    state = {"host": host.getstate(), "numpy": np.random.get_state(), "torch": torch.get_rng_state()}
+    """Of Python's generator, which decides shapes, and PyTorch's, which decide the rest; nothing draws from numpy's."""
+    state = {"host": host.getstate(), "torch": torch.get_rng_state()}
     if device.type == "cuda":
         state["cuda"] = torch.cuda.get_rng_state(device)
     return state
@@ -59,8 +56,8 @@ def random_state(host: random.Random, device: torch.device) -> Dict[str, Any]:
 
 def restore_random_state(state: Dict[str, Any], host: random.Random, device: torch.device) -> None:
     """A run that moves to another kind of device goes on with that device's own generator."""
-    host.setstate(state["host"])
-    np.random.set_state(state["numpy"])
+    version, internal, gauss = state["host"]
+    host.setstate((version, tuple(internal), gauss))
     torch.set_rng_state(state["torch"].cpu())
     if device.type == "cuda" and "cuda" in state:
         torch.cuda.set_rng_state(state["cuda"].cpu(), device)

@@ -9,7 +9,6 @@ import time
 from pathlib import Path
 from typing import Any, Dict, List, Optional
 
-import numpy as np
 import torch
 
 from . import checkpoint as checkpoints
@@ -20,6 +19,7 @@ from .levels import run_levels
 from .loss import chamfer
 from .network import Cascade
 from .patches import PatchSource
+from .profiling import part, report
 from .schedule import learning_rate, prepare_units
 from .validation import Validation
 
@@ -33,7 +33,6 @@ class Trainer:
         self.config, self.training, self.budget = config, training, budget_seconds
         self.device = training.device
         self.host = random.Random(config.seed)
-        np.random.seed(config.seed)
         torch.manual_seed(config.seed)
         self.cascade = Cascade(config.levels, config.k).to(self.device)
         self.source = PatchSource(training, config.data, config.patch, self.host)
@@ -96,23 +95,27 @@ class Trainer:
         levels = self.draw_levels()
         progress = self.progress()
         frozen = 0 if self.stage.together else levels - 1
-        batch = self.source.draw(levels, self.batch)
-        units = list(self.cascade.units)[:levels]
-        result = run_levels(units, batch, self.config.data, frozen)
-        outliers = settings.outlier_threshold if progress >= settings.outliers_from[levels - 1] else None
-        inside = (result.prediction_inside, result.reference_inside) if settings.borders else (None, None)
-        losses = chamfer(result.prediction, result.reference, *inside, outliers)
-        loss = losses.mean()
-        # Patches that nobody can fill well (gaps, backs of scans) would otherwise outweigh those that can be learned.
-        weights = (loss / losses.clamp_min(1e-9)).detach() ** settings.balance
-        objective = (losses * weights / weights.mean()).mean()
-        for group in self.optimiser.param_groups:
-            group["lr"] = learning_rate(self.config, self.stage, progress, self.stage_step)
-        self.optimiser.zero_grad(set_to_none=True)
-        (objective * settings.factor * settings.ratio_weights[levels - 1]).backward()
-        learning = [p for group in self.optimiser.param_groups for p in group["params"] if p.grad is not None]
-        torch.nn.utils.clip_grad_value_(learning, self.config.clip_value)
-        self.optimiser.step()
+        with part("draw patches"):
+            batch = self.source.draw(levels, self.batch)
+        with part("forward"):
+            result = run_levels(list(self.cascade.units)[:levels], batch, self.config.data, frozen)
+        with part("loss"):
+            outliers = settings.outlier_threshold if progress >= settings.outliers_from[levels - 1] else None
+            inside = (result.prediction_inside, result.reference_inside) if settings.borders else (None, None)
+            losses = chamfer(result.prediction, result.reference, *inside, outliers)
+            loss = losses.mean()
+            # Patches that nobody can fill well (gaps, backs of scans) would outweigh those that can be learned.
+            weights = (loss / losses.clamp_min(1e-9)).detach() ** settings.balance
+            objective = (losses * weights / weights.mean()).mean()
+        with part("backward"):
+            self.optimiser.zero_grad(set_to_none=True)
+            (objective * settings.factor * settings.ratio_weights[levels - 1]).backward()
+        with part("optimiser"):
+            for group in self.optimiser.param_groups:
+                group["lr"] = learning_rate(self.config, self.stage, progress, self.stage_step)
+            learning = [p for group in self.optimiser.param_groups for p in group["params"] if p.grad is not None]
+            torch.nn.utils.clip_grad_value_(learning, self.config.clip_value)
+            self.optimiser.step()
         self.step += 1
         self.stage_step += 1
         self.patches += self.batch
@@ -233,6 +236,8 @@ def parse(values: Optional[List[str]] = None) -> argparse.Namespace:
     parser.add_argument("--log-every", type=float, default=20.0, help="seconds")
     parser.add_argument("--score-every", type=float, default=240.0, help="seconds")
     parser.add_argument("--save-every", type=float, default=120.0, help="seconds")
+    parser.add_argument("--compile", action="store_true", help="torch.compile the units (PyTorch 2 on a GPU)")
+    parser.add_argument("--profile", type=int, metavar="STEPS", help="print where a step's time goes, and end")
     parser.add_argument("--no-validation", action="store_true")
     return parser.parse_args(values)
 
@@ -242,8 +247,6 @@ def main(values: Optional[List[str]] = None) -> None:
     if arguments.threads:
         torch.set_num_threads(arguments.threads)
     device = device_named(arguments.device)
-    if device.type == "cuda":
-        torch.backends.cuda.matmul.allow_tf32 = True
     source = arguments.out / checkpoints.FILE if (arguments.out / checkpoints.FILE).exists() else arguments.start_from
     state = checkpoints.load(source, device) if source else None
     config = configs.load(arguments.config)
@@ -255,6 +258,12 @@ def main(values: Optional[List[str]] = None) -> None:
             trainer.extend()
     if trainer.finished:
         sys.exit(f"the schedule of {source} has ended; --extend continues it")
+    if arguments.compile:
+        for unit in trainer.cascade.units:
+            unit.forward = torch.compile(unit.forward)
+    if arguments.profile:
+        print("\n".join(report(trainer.train_step, arguments.profile, device)))
+        return
     validation = None
     if not arguments.no_validation:
         validation = Validation(cloud_sets.load(arguments.data, device, held_out=True), config)
