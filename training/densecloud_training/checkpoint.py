@@ -22,8 +22,12 @@ def save(path: Path, state: Dict[str, Any]) -> None:
 
 
 def load(path: Path, device: torch.device) -> Dict[str, Any]:
-    """Reads a checkpoint onto `device`. It holds tensors and plain values only, so that loading runs no code of its."""
-    state = torch.load(path, map_location=device, weights_only=True)
+    """Reads a checkpoint onto `device`.
+
+    It holds tensors and plain values only, and PyTorch 2 refuses anything else in the file. PyTorch 1 cannot read
+    numbers in that way: with it, load only files that you trust.
+    """
+    state = torch.load(path, map_location=device, weights_only=int(torch.__version__.split(".")[0]) >= 2)
     if state.get("version") != VERSION:
         raise ValueError(f"{path}: checkpoint version {state.get('version')}, this program reads {VERSION}")
     return state
