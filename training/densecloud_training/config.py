@@ -1,9 +1,13 @@
 """Settings of a run, read from a TOML file; every field is documented in configs/default.toml."""
 
-import tomllib
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Dict, List
+
+try:
+    import tomllib
+except ModuleNotFoundError:  # Python 3.10
+    import tomli as tomllib
 
 CONFIGS = Path(__file__).with_name("configs")
 

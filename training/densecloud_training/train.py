@@ -3,6 +3,7 @@
 import argparse
 import json
 import random
+import shutil
 import signal
 import sys
 import time
@@ -184,6 +185,7 @@ def run(trainer: Trainer, out: Path, validation: Optional[Validation], arguments
     if validation:
         log.write(controls=rounded(validation.controls))
     last = time.monotonic()
+    deadline = last + 60 * arguments.stop_after if arguments.stop_after is not None else float("inf")
     next_log, next_score, next_save = last + arguments.log_every, last, last + arguments.save_every
     while not trainer.finished and not stop:
         levels, loss = trainer.train_step()
@@ -204,11 +206,25 @@ def run(trainer: Trainer, out: Path, validation: Optional[Validation], arguments
             next_score = time.monotonic() + arguments.score_every
         if ends:
             trainer.leave_stage()
+        if now >= deadline:
+            stop.append(0)
         if now >= next_save or ends:
             checkpoints.save(out / checkpoints.FILE, trainer.state())
             next_save = now + arguments.save_every
     checkpoints.save(out / checkpoints.FILE, trainer.state())
-    log.write(step=trainer.step, stage=trainer.label, stopped="signal" if stop else "schedule ended")
+    log.write(step=trainer.step, stage=trainer.label, stopped="schedule ended" if trainer.finished else "early")
+
+
+def starting_point(out: Path, start_from: Optional[Path]) -> Optional[Path]:
+    """The checkpoint to go on from: the run's own, else a copy of the one given, whose log then comes along."""
+    own = out / checkpoints.FILE
+    if own.exists() or start_from is None:
+        return own if own.exists() else None
+    checkpoint = start_from / checkpoints.FILE if start_from.is_dir() else start_from
+    out.mkdir(parents=True, exist_ok=True)
+    if (checkpoint.parent / LOG).exists():
+        shutil.copyfile(checkpoint.parent / LOG, out / LOG)
+    return checkpoint
 
 
 def rounded(table: Dict[str, Any]) -> Dict[str, Any]:
@@ -232,7 +248,8 @@ def parse(values: Optional[List[str]] = None) -> argparse.Namespace:
     parser.add_argument("--device", default="auto", choices=["auto", "cpu", "cuda"])
     parser.add_argument("--threads", type=int, help="CPU threads")
     parser.add_argument("--extend", action="store_true", help="run the extension stages on a finished checkpoint")
-    parser.add_argument("--start-from", type=Path, help="begin from this checkpoint (copied weights and state)")
+    parser.add_argument("--start-from", type=Path, help="go on from this run, model folder or checkpoint, into --out")
+    parser.add_argument("--stop-after", type=float, help="minutes until this call saves and ends, whatever is left")
     parser.add_argument("--log-every", type=float, default=20.0, help="seconds")
     parser.add_argument("--score-every", type=float, default=240.0, help="seconds")
     parser.add_argument("--save-every", type=float, default=120.0, help="seconds")
@@ -247,7 +264,7 @@ def main(values: Optional[List[str]] = None) -> None:
     if arguments.threads:
         torch.set_num_threads(arguments.threads)
     device = device_named(arguments.device)
-    source = arguments.out / checkpoints.FILE if (arguments.out / checkpoints.FILE).exists() else arguments.start_from
+    source = starting_point(arguments.out, arguments.start_from)
     state = checkpoints.load(source, device) if source else None
     config = configs.load(arguments.config)
     training = cloud_sets.load(arguments.data, device, held_out=False)

@@ -222,7 +222,7 @@ def test_a_signal_ends_a_run_with_a_checkpoint(training, tmp_path):
         return original()
 
     trainer.train_step = step_then_signal
-    arguments = argparse.Namespace(log_every=1e9, score_every=1e9, save_every=1e9)
+    arguments = argparse.Namespace(log_every=1e9, score_every=1e9, save_every=1e9, stop_after=None)
     handlers = [signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)]
     try:
         run(trainer, tmp_path, None, arguments)
@@ -230,7 +230,7 @@ def test_a_signal_ends_a_run_with_a_checkpoint(training, tmp_path):
         for number, handler in zip((signal.SIGTERM, signal.SIGINT), handlers):
             signal.signal(number, handler)
     assert checkpoints.load(tmp_path / checkpoints.FILE, torch.device("cpu"))["counters"]["step"] == 4
-    assert json.loads((tmp_path / "log.jsonl").read_text().splitlines()[-1])["stopped"] == "signal"
+    assert json.loads((tmp_path / "log.jsonl").read_text().splitlines()[-1])["stopped"] == "early"
 
 
 def test_command_line_trains_to_the_end_and_refuses_to_go_on_unasked(prepared, tmp_path, monkeypatch):
@@ -242,3 +242,15 @@ def test_command_line_trains_to_the_end_and_refuses_to_go_on_unasked(prepared, t
         main(command)
     main([*command, "--extend"])
     assert checkpoints.load(tmp_path / checkpoints.FILE, torch.device("cpu"))["counters"]["round"] == 1
+
+
+def test_a_run_goes_on_elsewhere_with_its_log(prepared, tmp_path, monkeypatch):
+    monkeypatch.setattr(configs, "load", lambda path: small(1))
+    monkeypatch.setattr(signal, "signal", lambda *ignored: None)
+    first, second = tmp_path / "first", tmp_path / "second"
+    command = ["--data", str(prepared), "--device", "cpu", "--no-validation"]
+    main([*command, "--out", str(first), "--stop-after", "0"])
+    main([*command, "--out", str(second), "--start-from", str(first)])
+    counters = [checkpoints.load(run / checkpoints.FILE, torch.device("cpu"))["counters"] for run in (first, second)]
+    assert [count["step"] for count in counters] == [1, 3]
+    assert (second / "log.jsonl").read_text().startswith((first / "log.jsonl").read_text())
