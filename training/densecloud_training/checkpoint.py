@@ -21,13 +21,13 @@ def save(path: Path, state: Dict[str, Any]) -> None:
     os.replace(temporary, path)
 
 
-def load(path: Path, device: torch.device) -> Dict[str, Any]:
-    """Reads a checkpoint onto `device`.
+def load(path: Path) -> Dict[str, Any]:
+    """Reads a checkpoint into main memory; what takes it over moves it to its own device.
 
     It holds tensors and plain values only, and PyTorch 2 refuses anything else in the file. PyTorch 1 cannot read
     numbers in that way: with it, load only files that you trust.
     """
-    state = torch.load(path, map_location=device, weights_only=int(torch.__version__.split(".")[0]) >= 2)
+    state = torch.load(path, map_location="cpu", weights_only=int(torch.__version__.split(".")[0]) >= 2)
     if state.get("version") != VERSION:
         raise ValueError(f"{path}: checkpoint version {state.get('version')}, this program reads {VERSION}")
     return state
@@ -38,7 +38,7 @@ def load_cascade(path: Path) -> Tuple[Cascade, Dict[str, Any], int]:
 
     Units that the schedule has not reached are copies of the last one that it has: what a warm start would begin with.
     """
-    state = load(path / FILE if path.is_dir() else path, torch.device("cpu"))
+    state = load(path / FILE if path.is_dir() else path)
     config, counters = state["config"], state["counters"]
     cascade = Cascade(config["levels"], config["k"])
     cascade.load_state_dict(state["cascade"])

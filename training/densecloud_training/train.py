@@ -265,7 +265,7 @@ def main(values: Optional[List[str]] = None) -> None:
         torch.set_num_threads(arguments.threads)
     device = device_named(arguments.device)
     source = starting_point(arguments.out, arguments.start_from)
-    state = checkpoints.load(source, device) if source else None
+    state = checkpoints.load(source) if source else None
     config = configs.load(arguments.config)
     training = cloud_sets.load(arguments.data, device, held_out=False)
     trainer = Trainer(config, training, arguments.budget * 60 if arguments.budget else None)

@@ -84,7 +84,7 @@ def test_resuming_equals_never_having_stopped(training, tmp_path, before):
     random.seed(5)
     torch.manual_seed(5)
     resumed = Trainer(small(), training, None)
-    resumed.restore(checkpoints.load(tmp_path / checkpoints.FILE, torch.device("cpu")))
+    resumed.restore(checkpoints.load(tmp_path / checkpoints.FILE))
     assert losses + steps(resumed, 11 - before) == wanted
     assert all(torch.equal(a, b) for a, b in zip(weights(resumed), weights(straight)))
     assert resumed.history == straight.history
@@ -229,7 +229,7 @@ def test_a_signal_ends_a_run_with_a_checkpoint(training, tmp_path):
     finally:
         for number, handler in zip((signal.SIGTERM, signal.SIGINT), handlers):
             signal.signal(number, handler)
-    assert checkpoints.load(tmp_path / checkpoints.FILE, torch.device("cpu"))["counters"]["step"] == 4
+    assert checkpoints.load(tmp_path / checkpoints.FILE)["counters"]["step"] == 4
     assert json.loads((tmp_path / "log.jsonl").read_text().splitlines()[-1])["stopped"] == "early"
 
 
@@ -241,7 +241,7 @@ def test_command_line_trains_to_the_end_and_refuses_to_go_on_unasked(prepared, t
     with pytest.raises(SystemExit, match="--extend"):
         main(command)
     main([*command, "--extend"])
-    assert checkpoints.load(tmp_path / checkpoints.FILE, torch.device("cpu"))["counters"]["round"] == 1
+    assert checkpoints.load(tmp_path / checkpoints.FILE)["counters"]["round"] == 1
 
 
 def test_a_run_goes_on_elsewhere_with_its_log(prepared, tmp_path, monkeypatch):
@@ -251,6 +251,6 @@ def test_a_run_goes_on_elsewhere_with_its_log(prepared, tmp_path, monkeypatch):
     command = ["--data", str(prepared), "--device", "cpu", "--no-validation"]
     main([*command, "--out", str(first), "--stop-after", "0"])
     main([*command, "--out", str(second), "--start-from", str(first)])
-    counters = [checkpoints.load(run / checkpoints.FILE, torch.device("cpu"))["counters"] for run in (first, second)]
+    counters = [checkpoints.load(run / checkpoints.FILE)["counters"] for run in (first, second)]
     assert [count["step"] for count in counters] == [1, 3]
     assert (second / "log.jsonl").read_text().startswith((first / "log.jsonl").read_text())
