@@ -30,7 +30,7 @@ def write_card(
     lines += ["", "[training]", f"steps = {counters['step']}", f"patches = {counters['patches']}"]
     lines += [f"minutes = {counters['seconds'] / 60:.1f}", f"trained_units = {trained}"]
     if trained < len(units):
-        lines.append(f"note = {text(f'units {trained + 1} to {len(units)} are copies of unit {trained}')}")
+        lines.append(f"note = {text(f'the units after unit {trained} are copies of unit {trained}')}")
     for stage in stages(state):
         lines += ["", "[[training.stages]]", *(f"{key} = {json.dumps(value)}" for key, value in stage.items())]
     scores, controls = latest(log)

@@ -28,6 +28,18 @@ class Level(NamedTuple):
     features: torch.Tensor
 
 
+class Rules(NamedTuple):
+    """How a level is run: patches per point, the share of a patch that is merged, the sampler, patches at once."""
+
+    overlap: float = OVERLAP
+    inner: float = 1.0
+    fps: str = "plain"
+    batch: int = 16
+
+
+DEFAULT_RULES = Rules()
+
+
 class Times:
     """Seconds by stage."""
 
@@ -93,36 +105,48 @@ def most_central(patches: torch.Tensor, count: int) -> torch.Tensor:
     return torch.from_numpy(owner)
 
 
+def inner_part(dense: torch.Tensor, owners: torch.Tensor, patches: int, size: int, inner: float) -> torch.Tensor:
+    """The outputs [H,2N,3] that are merged, [m,3]: of each patch those of its `inner` share of points nearest to the
+    seed, and of every input point those of the patch where it is most central, so that none goes without."""
+    if inner >= 1:
+        return dense.reshape(-1, 3)
+    by_point = dense.view(patches, 2, size, 3).transpose(1, 2).reshape(patches * size, 2, 3)
+    wanted = (torch.arange(size) < inner * size).repeat(patches)
+    wanted[owners] = True
+    return by_point[wanted].reshape(-1, 3)
+
+
 @torch.no_grad()
 def run_level(
-    unit, points: torch.Tensor, previous: Optional[Level], overlap: float, fps: str, batch: int, times: Times
+    unit, points: torch.Tensor, previous: Optional[Level], rules: "Rules", times: Times
 ) -> Tuple[torch.Tensor, Level]:
     """[n,3] -> [2n,3], and what the next level needs."""
     size = min(PATCH, len(points))
     if size <= unit.k:
         raise ValueError(f"{len(points)} points are too few: a patch needs more than {unit.k}")
-    seeds = farthest_point_sampling(points, max(1, math.ceil(overlap * len(points) / PATCH)), fps)
+    seeds = farthest_point_sampling(points, max(1, math.ceil(rules.overlap * len(points) / PATCH)), rules.fps)
     times.add("seeds")
     patches = cover(points, seeds, size)
     around = nearest(points, previous.points, SKIP_NEIGHBOURS) if previous else None
     times.add("patches")
     dense, features = [], []
-    for part in patches.split(batch):
+    for part in patches.split(rules.batch):
         normal, frame = normalise(points[part])
         skip = Previous(previous.features, around[1][part], around[0][part]) if previous else None
         output = unit(normal, skip)
-        dense.append(frame.undo(output.dense).reshape(-1, 3))
+        dense.append(frame.undo(output.dense))
         features.append(output.features.reshape(-1, output.features.shape[-1]))
     times.add("units")
-    merged = torch.cat(dense)
-    owned = torch.cat(features)[most_central(patches, len(points))]
-    kept = farthest_point_sampling(merged, 2 * len(points), fps)
+    owners = most_central(patches, len(points))
+    merged = inner_part(torch.cat(dense), owners, len(patches), size, rules.inner)
+    owned = torch.cat(features)[owners]
+    kept = farthest_point_sampling(merged, 2 * len(points), rules.fps)
     times.add("resample")
     return merged[kept], Level(points, owned)
 
 
 def upsample(
-    cascade: Cascade, cloud: np.ndarray, ratio: float, overlap: float = OVERLAP, fps: str = "plain", batch: int = 16
+    cascade: Cascade, cloud: np.ndarray, ratio: float, rules: Rules = DEFAULT_RULES
 ) -> Tuple[np.ndarray, Times]:
     """round(ratio * n) points from n. Beyond the trained ratio the last unit repeats."""
     centre = cloud.mean(0)
@@ -132,10 +156,10 @@ def upsample(
     level = 0
     while len(points) < wanted:
         unit = cascade.units[min(level, len(cascade.units) - 1)]
-        points, previous = run_level(unit, points, previous, overlap, fps, batch, times)
+        points, previous = run_level(unit, points, previous, rules, times)
         level += 1
     if len(points) > wanted:
-        points = points[farthest_point_sampling(points, wanted, fps)]
+        points = points[farthest_point_sampling(points, wanted, rules.fps)]
         times.add("resample")
     return points.numpy().astype(np.float64) * scale + centre, times
 
@@ -147,6 +171,7 @@ def main() -> None:
     parser.add_argument("output", type=Path)
     parser.add_argument("--ratio", type=float, default=4.0)
     parser.add_argument("--overlap", type=float, default=OVERLAP)
+    parser.add_argument("--inner", type=float, default=1.0, help="share of each patch, around its seed, that is merged")
     parser.add_argument("--threads", type=int, default=0, help="0: as PyTorch decides")
     parser.add_argument("--batch", type=int, default=16, help="patches at once")
     parser.add_argument("--fps", choices=["plain", "fpsample"], default="plain", help="fpsample: the package's C++ one")
@@ -156,7 +181,8 @@ def main() -> None:
     cascade, _, _ = checkpoints.load_cascade(arguments.checkpoint)
     cloud = np.loadtxt(arguments.input, ndmin=2)[:, :3]
     start = time.perf_counter()
-    dense, times = upsample(cascade, cloud, arguments.ratio, arguments.overlap, arguments.fps, arguments.batch)
+    rules = Rules(arguments.overlap, arguments.inner, arguments.fps, arguments.batch)
+    dense, times = upsample(cascade, cloud, arguments.ratio, rules)
     total = time.perf_counter() - start
     np.savetxt(arguments.output, dense, fmt="%.7g")
     for stage, seconds in times.seconds.items():

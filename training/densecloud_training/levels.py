@@ -54,7 +54,9 @@ def run_levels(steps: Sequence[Step], batch: Batch, data: Data, frozen: int = 0)
         crops.append((seed, input_radius, reference_radius))
         points = following
     with torch.no_grad():
-        prediction_inside = torch.stack([(dense - s).norm(dim=-1) <= reach for s, _, reach in crops]).all(0)
+        # By the point that a prediction came from: one that strays outwards must not escape its loss by straying.
+        inside = torch.stack([(points - s).norm(dim=-1) <= reach for s, _, reach in crops]).all(0)
+        prediction_inside = torch.cat([inside, inside], dim=1)
         reference_inside = torch.stack([(reference - s).norm(dim=-1) <= radius for s, radius, _ in crops]).all(0)
         # Where the input saw nothing (the far side of a scan), nothing is asked for.
         gap = nearest_distances(reference, batch.points).to_reference.sqrt()

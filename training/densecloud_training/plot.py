@@ -14,14 +14,27 @@ def read_log(path: Path) -> List[Dict[str, Any]]:
     return [json.loads(line) for line in path.read_text().splitlines() if line.strip()]
 
 
+def relative(entries: List[Dict[str, Any]]) -> List[Dict[str, Any]]:
+    """The entries with scores, each Chamfer distance over the midpoint rule's on the same patches: the controls that
+    were logged last before it (a run that resumes on other data logs new ones)."""
+    found, rule = [], None
+    for entry in entries:
+        if "controls" in entry:
+            rule = entry["controls"]["midpoint"]
+        if "validation" in entry and rule:
+            scores = {name: score["cd"] / rule[name]["cd"] for name, score in entry["validation"].items()}
+            found.append({**entry, "validation": scores})
+    return found
+
+
 def series(entries: List[Dict[str, Any]], key: str) -> Dict[str, Any]:
-    """{name: (minutes, values)} of a table that some entries hold under `key`; scores give their `cd`."""
+    """{name: (minutes, values)} of a table that some entries hold under `key`."""
     found: Dict[str, Any] = {}
     for entry in entries:
         for name, value in entry.get(key, {}).items():
             minutes, values = found.setdefault(name, ([], []))
             minutes.append(entry["seconds"] / 60)
-            values.append(value["cd"] if isinstance(value, dict) else value)
+            values.append(value)
     return found
 
 
@@ -32,17 +45,14 @@ def draw(entries: List[Dict[str, Any]], out: Path) -> None:
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
-    controls = [entry["controls"] for entry in entries if "controls" in entry]
     figure, (left, right) = pyplot.subplots(1, 2, figsize=(12, 4.5))
     for name, (minutes, values) in sorted(series(entries, "loss").items()):
         left.plot(minutes, values, label=name, linewidth=1)
     left.set(title="training loss (Chamfer, x 1e-3)", xlabel="minutes of training", yscale="log")
-    if controls:
-        rule = controls[-1]["midpoint"]
-        for name, (minutes, values) in series(entries, "validation").items():
-            style = {"even": "-", "random": "--", "noisy": ":"}.get(name.split()[0], "-")
-            right.plot(minutes, [value / rule[name]["cd"] for value in values], style, label=name, linewidth=1.2)
-        right.axhline(1.0, color="black", linewidth=0.8)
+    for name, (minutes, values) in series(relative(entries), "validation").items():
+        style = {"even": "-", "random": "--", "noisy": ":"}.get(name.split()[0], "-")
+        right.plot(minutes, values, style, label=name, linewidth=1.2)
+    right.axhline(1.0, color="black", linewidth=0.8)
     right.set(title="held-out Chamfer distance / midpoint rule's", xlabel="minutes of training", ylim=(0.5, 1.5))
     starts: Dict[str, float] = {}
     for entry in entries:
