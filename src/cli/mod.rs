@@ -7,6 +7,7 @@ mod error;
 mod files;
 mod render;
 mod sample;
+mod serve;
 mod upsample;
 
 pub use error::CliError;
@@ -28,6 +29,7 @@ enum Command {
     Render(render::RenderArgs),
     Sample(sample::SampleArgs),
     Upsample(upsample::UpsampleArgs),
+    Serve(serve::ServeArgs),
 }
 
 /// Parses the arguments, runs the command, and says how it went.
@@ -54,5 +56,6 @@ fn run(command: Command) -> Result<(), CliError> {
         Command::Render(args) => render::run(&args),
         Command::Sample(args) => sample::run(&args),
         Command::Upsample(args) => upsample::run(&args),
+        Command::Serve(args) => serve::run(&args),
     }
 }

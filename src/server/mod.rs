@@ -1,1 +1,137 @@
-//! The HTTP interface.
+//! The HTTP interface: `POST /upsample` over the [`engine`](crate::engine), and what operators need
+//! around it (`/healthz`, `/readyz`, `/metrics`).
+//!
+//! | file | holds |
+//! |---|---|
+//! | `accept` | the loop that accepts connections, and each connection's life |
+//! | `activity` | when a connection counts as dead |
+//! | `app` | what handlers share; the table of paths |
+//! | `record` | around each request: id, log, metrics |
+//! | `upsample` | the handler, from body to body |
+//! | `query`, `upload`, `download` | its parts: parameters, the body in, the body out |
+//! | `problem` | every failure, its status and its words: the one table |
+//! | `config`, `budget`, `readiness`, `metrics`, `request_id` | one noun each |
+//!
+//! Invariants: nothing blocks the async threads; no wait is without a deadline; memory grows with
+//! what arrives and is counted, not with what is claimed; work belongs to the request's future, so a
+//! client that leaves stops it.
+
+mod accept;
+mod activity;
+mod app;
+mod budget;
+mod config;
+mod download;
+mod metrics;
+mod problem;
+mod query;
+mod readiness;
+mod record;
+mod request_id;
+mod upload;
+mod upsample;
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use tokio::net::TcpListener;
+use tokio::sync::watch;
+use tokio::task::{JoinSet, spawn_blocking};
+use tokio::time::{Instant, interval, timeout_at};
+
+pub use config::{Config, ConfigError, Limits, ModelInfo, Timeouts};
+
+use crate::engine::{Engine, EngineError};
+use app::App;
+
+/// Why a server did not start, or ended by itself.
+#[derive(Debug, thiserror::Error)]
+pub enum ServeError {
+    /// The settings cannot work.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// The model did not run.
+    #[error("the model failed its warm-up: {0}")]
+    WarmUp(EngineError),
+    /// A part of the server broke; a bug.
+    #[error("internal error: {0}")]
+    Internal(String),
+}
+
+/// How often recorded durations are folded into their buckets.
+const FOLD: Duration = Duration::from_secs(5);
+
+/// Serves until `shutdown` resolves and what is in flight then is done, or has had
+/// [`Timeouts::drain`].
+///
+/// Connections are taken at once; `/readyz` tells when the model has warmed up. After `shutdown`,
+/// `/readyz` says so first, new work is refused with 503, and probes are still answered until the
+/// last request is over. What is not over by the deadline is cancelled.
+///
+/// # Errors
+/// See [`ServeError`].
+pub async fn run(
+    listener: TcpListener,
+    engine: Engine,
+    config: Config,
+    shutdown: impl Future<Output = ()>,
+) -> Result<(), ServeError> {
+    config.validate()?;
+    let internal = |error: &dyn std::fmt::Display| ServeError::Internal(error.to_string());
+    let app = Arc::new(App::new(engine.clone(), config.clone()).map_err(|e| internal(&e))?);
+    let warm_up = async {
+        let start = Instant::now();
+        match spawn_blocking(move || engine.warm_up()).await {
+            Ok(Ok(())) => {
+                tracing::info!(seconds = start.elapsed().as_secs_f64(), "ready");
+                app.readiness.ready();
+                // The server goes on; only a failure ends it from here.
+                std::future::pending().await
+            }
+            Ok(Err(error)) => ServeError::WarmUp(error),
+            Err(error) => internal(&error),
+        }
+    };
+    let fold = async {
+        let mut ticks = interval(FOLD);
+        loop {
+            ticks.tick().await;
+            app.metrics.fold();
+        }
+    };
+    let (close, closing) = watch::channel(false);
+    let serve = async {
+        let router = app::router(Arc::clone(&app));
+        tokio::join!(accept::accept(listener, router, &config, closing), drain(&app, shutdown, &close))
+    };
+    tokio::select! {
+        (connections, deadline) = serve => end(connections, deadline).await,
+        error = warm_up => return Err(error),
+        () = fold => {}
+    }
+    tracing::info!("stopped");
+    Ok(())
+}
+
+/// Waits for `shutdown`, then for the requests in flight, then closes; gives the deadline of all
+/// that.
+async fn drain(app: &App, shutdown: impl Future<Output = ()>, close: &watch::Sender<bool>) -> Instant {
+    shutdown.await;
+    app.readiness.drain();
+    let mut in_flight = app.in_flight.subscribe();
+    tracing::info!(in_flight = *in_flight.borrow(), "draining");
+    let deadline = Instant::now() + app.config.timeouts.drain;
+    if timeout_at(deadline, in_flight.wait_for(|count| *count == 0)).await.is_err() {
+        tracing::warn!(in_flight = *app.in_flight.borrow(), "cancelling what is not done by the deadline");
+    }
+    close.send_replace(true);
+    deadline
+}
+
+/// Lets connections send what they still buffer, and drops those that take longer.
+async fn end(mut connections: JoinSet<()>, deadline: Instant) {
+    let all = async { while connections.join_next().await.is_some() {} };
+    if timeout_at(deadline, all).await.is_err() {
+        connections.shutdown().await;
+    }
+}

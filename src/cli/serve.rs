@@ -1,0 +1,277 @@
+//! `densecloud serve`: the HTTP server.
+
+use std::io::{self, IsTerminal};
+use std::process::exit;
+use std::time::Duration;
+
+use clap::{Args, ValueEnum};
+use tokio::net::TcpListener;
+use tokio::runtime::Runtime;
+use tokio::signal::unix::{Signal, SignalKind, signal};
+use tracing_subscriber::EnvFilter;
+
+use super::CliError;
+use super::engine_args::EngineArgs;
+use crate::engine::{Engine, EngineConfig};
+use crate::server::{self, Config, Limits, ModelInfo, Timeouts};
+
+/// Serve over HTTP: POST a cloud to /upsample, get a denser one back.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  densecloud serve --port 8080
+  curl --data-binary @scan.ply 'http://localhost:8080/upsample?ratio=4' -o dense.ply
+
+SIGTERM and SIGINT let requests in flight finish (--drain-timeout); a second one ends at once.")]
+pub(super) struct ServeArgs {
+    /// Port to listen on; 0 lets the system choose one, which the log then names
+    #[arg(short, long, env = "DENSECLOUD_PORT", default_value_t = 8080)]
+    port: u16,
+
+    /// Address to listen on; 0.0.0.0 for all. There is no authentication: put a proxy before it
+    #[arg(long, env = "DENSECLOUD_HOST", default_value = "127.0.0.1")]
+    host: String,
+
+    #[command(flatten)]
+    engine: EngineArgs,
+
+    /// Points in the results of all requests that are queued or worked on
+    #[arg(long, env = "DENSECLOUD_QUEUE_POINTS", value_name = "N",
+        default_value_t = EngineConfig::default().queue_points)]
+    queue_points: u64,
+
+    /// Bytes in one request's body
+    #[arg(long, env = "DENSECLOUD_MAX_BODY_BYTES", value_name = "N",
+        default_value_t = Limits::default().body_bytes)]
+    max_body_bytes: u64,
+
+    /// Points in one input cloud
+    #[arg(long, env = "DENSECLOUD_MAX_POINTS_IN", value_name = "N",
+        default_value_t = Limits::default().points_in)]
+    max_points_in: u64,
+
+    /// Points in one result; each takes the engine about half a kilobyte of memory
+    #[arg(long, env = "DENSECLOUD_MAX_POINTS_OUT", value_name = "N",
+        default_value_t = Limits::default().points_out)]
+    max_points_out: u64,
+
+    /// Bytes of all uploads not yet parsed and all results not yet sent
+    #[arg(long, env = "DENSECLOUD_MAX_HELD_BYTES", value_name = "N",
+        default_value_t = Limits::default().held_bytes)]
+    max_held_bytes: u64,
+
+    /// Connections open at a time; more wait in the system's backlog
+    #[arg(long, env = "DENSECLOUD_MAX_CONNECTIONS", value_name = "N",
+        default_value_t = Limits::default().connections)]
+    max_connections: usize,
+
+    /// How long a connection may take to send the head of its next request
+    #[arg(long, env = "DENSECLOUD_HEAD_TIMEOUT", value_name = "SECONDS", value_parser = seconds,
+        default_value = "30")]
+    head_timeout: Duration,
+
+    /// How long an upload may stand still, or a client not read its result
+    #[arg(long, env = "DENSECLOUD_STALL_TIMEOUT", value_name = "SECONDS", value_parser = seconds,
+        default_value = "30")]
+    stall_timeout: Duration,
+
+    /// How long a request may take until its result is complete, upload and queueing included
+    #[arg(long, env = "DENSECLOUD_REQUEST_TIMEOUT", value_name = "SECONDS", value_parser = seconds,
+        default_value = "600")]
+    request_timeout: Duration,
+
+    /// How long requests in flight may take once the server was told to stop
+    #[arg(long, env = "DENSECLOUD_DRAIN_TIMEOUT", value_name = "SECONDS", value_parser = seconds,
+        default_value = "30")]
+    drain_timeout: Duration,
+
+    /// What is logged to standard error: error, warn, info, debug, or a filter like `info,hyper=debug`
+    #[arg(long, env = "DENSECLOUD_LOG", value_name = "FILTER", default_value = "info")]
+    log: String,
+
+    /// How it is logged
+    #[arg(long, env = "DENSECLOUD_LOG_FORMAT", value_name = "FORMAT", default_value = "text")]
+    log_format: LogFormat,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum LogFormat {
+    /// A line an event, for people
+    Text,
+    /// A JSON object an event, for collectors
+    Json,
+}
+
+/// Threads for parsing and encoding. Few, since the engine's own threads need the processors; enough
+/// that one long parse does not hold up the others.
+const BLOCKING_THREADS: usize = 16;
+
+pub(super) fn run(args: &ServeArgs) -> Result<(), CliError> {
+    let mut config = args.config();
+    config.validate().map_err(|e| CliError::Usage(e.to_string()))?;
+    start_log(args)?;
+    let failed = |why: &dyn std::fmt::Display| CliError::Failed(why.to_string());
+    let model = args.engine.model()?;
+    let sizes =
+        EngineConfig { threads: args.engine.threads, queue_points: args.queue_points, ..Default::default() };
+    let engine = Engine::new(model.clone(), sizes).map_err(|e| failed(&e))?;
+    config.model = ModelInfo {
+        name: model.card.name.clone(),
+        sha256: model.sha256.clone(),
+        provider: engine.provider().to_owned(),
+    };
+    let runtime = tokio::runtime::Builder::new_multi_thread()
+        .enable_all()
+        .max_blocking_threads(BLOCKING_THREADS)
+        .build()
+        .map_err(|e| failed(&e))?;
+    let served = runtime.block_on(serve(args, engine, config));
+    stop(runtime);
+    served
+}
+
+impl ServeArgs {
+    fn config(&self) -> Config {
+        Config {
+            limits: Limits {
+                body_bytes: self.max_body_bytes,
+                points_in: self.max_points_in,
+                points_out: self.max_points_out,
+                held_bytes: self.max_held_bytes,
+                connections: self.max_connections,
+            },
+            timeouts: Timeouts {
+                head: self.head_timeout,
+                stall: self.stall_timeout,
+                request: self.request_timeout,
+                drain: self.drain_timeout,
+            },
+            model: ModelInfo::default(),
+        }
+    }
+}
+
+async fn serve(args: &ServeArgs, engine: Engine, config: Config) -> Result<(), CliError> {
+    let failed = |e: io::Error| CliError::Failed(format!("cannot wait for signals: {e}"));
+    let signals = Signals {
+        terminate: signal(SignalKind::terminate()).map_err(failed)?,
+        interrupt: signal(SignalKind::interrupt()).map_err(failed)?,
+    };
+    let (host, port) = (args.host.as_str(), args.port);
+    let unbound = |e: io::Error| {
+        CliError::Failed(format!(
+            "cannot listen on {host}:{port}: {e}; choose another with --host and --port"
+        ))
+    };
+    let listener = TcpListener::bind((host, port)).await.map_err(unbound)?;
+    let address = listener.local_addr().map_err(unbound)?;
+    let model = &config.model;
+    tracing::info!(
+        %address, model = model.name, provider = model.provider, threads = engine.threads(), "listening"
+    );
+    server::run(listener, engine, config, signals.first()).await.map_err(|e| CliError::Failed(e.to_string()))
+}
+
+struct Signals {
+    terminate: Signal,
+    interrupt: Signal,
+}
+
+impl Signals {
+    /// Resolves at the first signal; from then on the next one ends the process.
+    async fn first(mut self) {
+        self.next().await;
+        tokio::spawn(async move {
+            let number = self.next().await;
+            tracing::warn!("second signal: ending at once");
+            // What a shell reports for a process that a signal has ended.
+            exit(128 + number);
+        });
+    }
+
+    /// The number of the next signal.
+    async fn next(&mut self) -> i32 {
+        tokio::select! {
+            _ = self.terminate.recv() => SignalKind::terminate().as_raw_value(),
+            _ = self.interrupt.recv() => SignalKind::interrupt().as_raw_value(),
+        }
+    }
+}
+
+/// Does not wait for a parse or a warm-up that nobody needs any more.
+fn stop(runtime: Runtime) {
+    runtime.shutdown_background();
+}
+
+fn start_log(args: &ServeArgs) -> Result<(), CliError> {
+    let filter = EnvFilter::try_new(&args.log)
+        .map_err(|e| CliError::Usage(format!("--log {:?}: {e}; try info or debug", args.log)))?;
+    let log = tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_writer(io::stderr)
+        .with_ansi(io::stderr().is_terminal())
+        .with_target(false);
+    let started = match args.log_format {
+        LogFormat::Text => log.try_init(),
+        LogFormat::Json => log.json().try_init(),
+    };
+    started.map_err(|e| CliError::Failed(format!("cannot start the log: {e}")))
+}
+
+/// A duration in seconds, decimals allowed.
+fn seconds(text: &str) -> Result<Duration, String> {
+    text.parse()
+        .ok()
+        .and_then(|seconds| Duration::try_from_secs_f64(seconds).ok())
+        .ok_or_else(|| "not a number of seconds".to_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::Parser;
+
+    #[derive(Parser)]
+    struct Line {
+        #[command(flatten)]
+        serve: ServeArgs,
+    }
+
+    fn parse(arguments: &[&str]) -> Result<ServeArgs, clap::Error> {
+        Line::try_parse_from([&["serve"], arguments].concat()).map(|line| line.serve)
+    }
+
+    #[test]
+    fn without_arguments_the_settings_are_the_servers_defaults() {
+        assert_eq!(parse(&[]).expect("arguments").config(), Config::default());
+    }
+
+    #[test]
+    fn each_flag_sets_its_own_limit() {
+        let args = parse(&[
+            "--max-body-bytes=1",
+            "--max-points-in=2",
+            "--max-points-out=3",
+            "--max-held-bytes=4",
+            "--max-connections=5",
+            "--head-timeout=0.5",
+            "--stall-timeout=7",
+            "--request-timeout=8",
+            "--drain-timeout=0",
+        ]);
+        let Config { limits, timeouts, .. } = args.expect("arguments").config();
+        let expected = Limits { body_bytes: 1, points_in: 2, points_out: 3, held_bytes: 4, connections: 5 };
+        assert_eq!(limits, expected);
+        assert_eq!(timeouts.head, Duration::from_millis(500));
+        assert_eq!(timeouts.stall, Duration::from_secs(7));
+        assert_eq!(timeouts.request, Duration::from_secs(8));
+        assert_eq!(timeouts.drain, Duration::ZERO);
+    }
+
+    #[test]
+    fn a_duration_must_be_one() {
+        for bad in ["-1", "x", "", "nan", "inf", "1e30"] {
+            assert!(seconds(bad).is_err(), "{bad}");
+        }
+    }
+}

@@ -1,0 +1,94 @@
+//! What the handlers share, and the table of paths.
+
+use std::sync::Arc;
+
+use axum::Router;
+use axum::extract::State;
+use axum::http::header;
+use axum::middleware;
+use axum::response::IntoResponse;
+use axum::routing::{get, post};
+use metrics_exporter_prometheus::BuildError;
+use tokio::sync::watch;
+
+use super::budget::Budget;
+use super::config::Config;
+use super::metrics::Metrics;
+use super::problem::Problem;
+use super::query::Parameters;
+use super::readiness::Readiness;
+use super::{record, upsample};
+use crate::engine::Engine;
+
+/// One server's state.
+pub(super) struct App {
+    pub(super) engine: Engine,
+    pub(super) config: Config,
+    pub(super) metrics: Metrics,
+    pub(super) readiness: Readiness,
+    pub(super) budget: Budget,
+    /// Requests whose response is not over, probes aside. A watch channel, so that a stopping server
+    /// can wait for none.
+    pub(super) in_flight: watch::Sender<usize>,
+}
+
+impl App {
+    pub(super) fn new(engine: Engine, config: Config) -> Result<Self, BuildError> {
+        Ok(Self {
+            metrics: Metrics::new(&config.model)?,
+            readiness: Readiness::new(),
+            budget: Budget::new(config.limits.held_bytes),
+            in_flight: watch::Sender::new(0),
+            engine,
+            config,
+        })
+    }
+
+    /// Checks points in, and what they would give, against the limits.
+    ///
+    /// # Errors
+    /// [`Problem::TooManyPointsIn`] or [`Problem::TooManyPointsOut`].
+    pub(super) fn check_points(&self, points_in: u64, parameters: &Parameters) -> Result<(), Problem> {
+        let limits = &self.config.limits;
+        if points_in > limits.points_in {
+            return Err(Problem::TooManyPointsIn { points: points_in, limit: limits.points_in });
+        }
+        let points_out = parameters.points_out(points_in);
+        if points_out > limits.points_out {
+            return Err(Problem::TooManyPointsOut { points: points_out, limit: limits.points_out });
+        }
+        Ok(())
+    }
+
+    pub(super) fn held_full(&self) -> Problem {
+        Problem::HeldFull { used: self.budget.used(), limit: self.config.limits.held_bytes }
+    }
+}
+
+/// All paths.
+pub(super) fn router(app: Arc<App>) -> Router {
+    Router::new()
+        .route("/upsample", post(upsample::upsample))
+        .route("/healthz", get(healthz))
+        .route("/readyz", get(readyz))
+        .route("/metrics", get(metrics))
+        .fallback(|| async { Problem::NotFound })
+        .method_not_allowed_fallback(|| async { Problem::MethodNotAllowed })
+        .layer(middleware::from_fn_with_state(Arc::clone(&app), record::record))
+        .with_state(app)
+}
+
+/// Alive, whatever it is doing.
+async fn healthz() -> &'static str {
+    "ok\n"
+}
+
+/// Whether to send requests here.
+async fn readyz(State(app): State<Arc<App>>) -> Result<&'static str, Problem> {
+    app.readiness.check().map(|()| "ready\n")
+}
+
+async fn metrics(State(app): State<Arc<App>>) -> impl IntoResponse {
+    let page = app.metrics.render(app.engine.queued_points(), app.budget.used());
+    ([(header::CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")], page)
+}

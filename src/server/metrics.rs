@@ -1,0 +1,188 @@
+//! What `/metrics` tells, in Prometheus' text format.
+//!
+//! Each server has its own recorder, held here, instead of the process-wide one of the `metrics`
+//! macros: several servers in one process (tests, for one) do not mix their figures.
+
+use std::time::Duration;
+
+use metrics::{Counter, Gauge, Histogram, Key, Label, Level, Metadata, Recorder, Unit};
+use metrics_exporter_prometheus::{BuildError, PrometheusBuilder, PrometheusHandle, PrometheusRecorder};
+
+use super::config::ModelInfo;
+
+/// The figures of one server. All names, in one place.
+pub(super) struct Metrics {
+    recorder: PrometheusRecorder,
+    handle: PrometheusHandle,
+    duration: Histogram,
+    points_in: Counter,
+    points_out: Counter,
+    in_flight: Gauge,
+    queue_points: Gauge,
+    held_bytes: Gauge,
+}
+
+const REQUESTS: &str = "densecloud_requests_total";
+const DURATION: &str = "densecloud_request_duration_seconds";
+const STAGE: &str = "densecloud_stage_duration_seconds";
+const POINTS_IN: &str = "densecloud_points_in_total";
+const POINTS_OUT: &str = "densecloud_points_out_total";
+const IN_FLIGHT: &str = "densecloud_requests_in_flight";
+const QUEUE: &str = "densecloud_queue_points";
+const HELD: &str = "densecloud_held_bytes";
+const MODEL: &str = "densecloud_model_info";
+
+/// From a small cloud's milliseconds to a large one's ten minutes.
+const BUCKETS: [f64; 14] =
+    [0.001, 0.005, 0.01, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 15.0, 60.0, 180.0, 600.0];
+
+static METADATA: Metadata<'static> = Metadata::new(module_path!(), Level::INFO, Some(module_path!()));
+
+/// The interface of all requests here, beside others to come.
+const INTERFACE: Label = Label::from_static_parts("interface", "http");
+
+impl Metrics {
+    /// Registers everything, so that each series is there from the start.
+    ///
+    /// # Errors
+    /// When the exporter refuses the buckets.
+    pub(super) fn new(model: &ModelInfo) -> Result<Self, BuildError> {
+        let recorder = PrometheusBuilder::new().set_buckets(&BUCKETS)?.build_recorder();
+        for (name, unit, text) in [
+            (REQUESTS, None, "Requests answered, by interface and outcome; cancelled: the client left"),
+            (POINTS_IN, None, "Points read from the clouds of answered requests"),
+            (POINTS_OUT, None, "Points in the results of answered requests"),
+        ] {
+            recorder.describe_counter(name.into(), unit, text.into());
+        }
+        for (name, unit, text) in [
+            (DURATION, Unit::Seconds, "From a request's head to the last byte of its response"),
+            (STAGE, Unit::Seconds, "Work on one request, by stage; upload includes waiting for the client"),
+        ] {
+            recorder.describe_histogram(name.into(), Some(unit), text.into());
+        }
+        for (name, unit, text) in [
+            (IN_FLIGHT, None, "Requests whose response is not over"),
+            (QUEUE, None, "Points queued or being worked on"),
+            (HELD, Some(Unit::Bytes), "Uploads not yet parsed and results not yet sent"),
+            (MODEL, None, "The model that answers; always 1"),
+        ] {
+            recorder.describe_gauge(name.into(), unit, text.into());
+        }
+        let metrics = Self {
+            handle: recorder.handle(),
+            duration: recorder.register_histogram(&Key::from_parts(DURATION, vec![INTERFACE]), &METADATA),
+            points_in: recorder.register_counter(&Key::from_static_name(POINTS_IN), &METADATA),
+            points_out: recorder.register_counter(&Key::from_static_name(POINTS_OUT), &METADATA),
+            in_flight: recorder.register_gauge(&Key::from_static_name(IN_FLIGHT), &METADATA),
+            queue_points: recorder.register_gauge(&Key::from_static_name(QUEUE), &METADATA),
+            held_bytes: recorder.register_gauge(&Key::from_static_name(HELD), &METADATA),
+            recorder,
+        };
+        metrics.requests("ok").increment(0);
+        let labels = vec![
+            Label::new("model", model.name.clone()),
+            Label::new("sha256", model.sha256.clone()),
+            Label::new("provider", model.provider.clone()),
+        ];
+        metrics.recorder.register_gauge(&Key::from_parts(MODEL, labels), &METADATA).set(1.0);
+        Ok(metrics)
+    }
+
+    /// A request has arrived.
+    pub(super) fn begun(&self) {
+        self.in_flight.increment(1.0);
+    }
+
+    /// Its response is over. `outcome` comes from a fixed set: `ok`, `cancelled`, `failed`, or the
+    /// name of a problem.
+    pub(super) fn ended(&self, outcome: &'static str, took: Duration) {
+        self.in_flight.decrement(1.0);
+        self.requests(outcome).increment(1);
+        self.duration.record(took);
+    }
+
+    /// One stage of one request.
+    pub(super) fn stage(&self, stage: &'static str, took: Duration) {
+        let key = Key::from_parts(STAGE, vec![Label::from_static_parts("stage", stage)]);
+        self.recorder.register_histogram(&key, &METADATA).record(took);
+    }
+
+    /// A result is complete.
+    pub(super) fn points(&self, points_in: u64, points_out: u64) {
+        self.points_in.increment(points_in);
+        self.points_out.increment(points_out);
+    }
+
+    /// The page, with what the engine's queue and the requests hold at the moment.
+    pub(super) fn render(&self, queue_points: u64, held_bytes: u64) -> String {
+        self.queue_points.set(queue_points as f64);
+        self.held_bytes.set(held_bytes as f64);
+        self.handle.render()
+    }
+
+    /// Folds recorded durations into their buckets; without it they pile up until the next
+    /// [`Metrics::render`], which may never come.
+    pub(super) fn fold(&self) {
+        self.handle.run_upkeep();
+    }
+
+    fn requests(&self, outcome: &'static str) -> Counter {
+        let labels = vec![INTERFACE, Label::from_static_parts("outcome", outcome)];
+        self.recorder.register_counter(&Key::from_parts(REQUESTS, labels), &METADATA)
+    }
+}
+
+impl std::fmt::Debug for Metrics {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Metrics").finish_non_exhaustive()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_page_has_every_series_from_the_start_and_counts_what_happens() {
+        let model = ModelInfo { name: "default".into(), sha256: "ab12".into(), provider: "cpu".into() };
+        let metrics = Metrics::new(&model).expect("metrics");
+        let page = metrics.render(0, 0);
+        for line in [
+            "densecloud_requests_total{interface=\"http\",outcome=\"ok\"} 0",
+            "densecloud_points_in_total 0",
+            "densecloud_queue_points 0",
+            "densecloud_model_info{model=\"default\",sha256=\"ab12\",provider=\"cpu\"} 1",
+        ] {
+            assert!(page.lines().any(|l| l == line), "{line} is missing in\n{page}");
+        }
+        metrics.begun();
+        metrics.begun();
+        metrics.ended("ok", Duration::from_millis(20));
+        metrics.stage("units", Duration::from_secs(2));
+        metrics.points(10, 40);
+        let page = metrics.render(7, 99);
+        for line in [
+            "densecloud_requests_total{interface=\"http\",outcome=\"ok\"} 1",
+            "densecloud_request_duration_seconds_bucket{interface=\"http\",le=\"0.01\"} 0",
+            "densecloud_request_duration_seconds_bucket{interface=\"http\",le=\"0.05\"} 1",
+            "densecloud_stage_duration_seconds_count{stage=\"units\"} 1",
+            "densecloud_requests_in_flight 1",
+            "densecloud_points_in_total 10",
+            "densecloud_points_out_total 40",
+            "densecloud_queue_points 7",
+            "densecloud_held_bytes 99",
+        ] {
+            assert!(page.lines().any(|l| l == line), "{line} is missing in\n{page}");
+        }
+    }
+
+    #[test]
+    fn two_servers_do_not_mix_their_figures() {
+        let one = Metrics::new(&ModelInfo::default()).expect("metrics");
+        let other = Metrics::new(&ModelInfo::default()).expect("metrics");
+        one.points(1, 2);
+        assert!(one.render(0, 0).contains("densecloud_points_in_total 1"));
+        assert!(other.render(0, 0).contains("densecloud_points_in_total 0"));
+    }
+}

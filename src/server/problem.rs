@@ -1,0 +1,451 @@
+//! Every way in which a request can fail, and the one table from these to statuses.
+//!
+//! Errors are part of the interface: bodies are `application/problem+json` (RFC 9457), the last
+//! part of `type` is stable and is also the `outcome` label in `/metrics`, and `detail` names the
+//! limit and the setting that lifts it.
+
+use std::time::Duration;
+
+use axum::body::Body;
+use axum::http::{HeaderValue, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use serde::Serialize;
+
+use crate::cascade::CascadeError;
+use crate::engine::EngineError;
+use crate::formats::FormatError;
+
+/// Why a request is not answered with a cloud.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub(super) enum Problem {
+    /// No such path.
+    #[error("there are /upsample, /healthz, /readyz and /metrics")]
+    NotFound,
+    /// The path exists, but not for this method.
+    #[error("the Allow header has the methods of this path")]
+    MethodNotAllowed,
+    /// A query parameter is missing, unknown, given twice, or out of range.
+    #[error("parameter {name}: {why}")]
+    Parameter {
+        /// The parameter.
+        name: String,
+        /// What it may be.
+        why: String,
+    },
+    /// The body ended early, or its framing is broken.
+    #[error("the body could not be read to its end: {0}")]
+    Interrupted(String),
+    /// The body is in a known format, but broken.
+    #[error("{0}")]
+    Malformed(String),
+    /// The client stopped sending.
+    #[error(
+        "nothing arrived for {} s (--stall-timeout) before the body was complete", .limit.as_secs_f64()
+    )]
+    UploadStalled {
+        /// How long was waited.
+        limit: Duration,
+    },
+    /// The body has too many bytes.
+    #[error("the body is larger than {limit} bytes; --max-body-bytes lifts this limit")]
+    BodyTooLarge {
+        /// The most it may have.
+        limit: u64,
+    },
+    /// The input has, or claims to have, too many points.
+    #[error("the cloud has {points} points, more than {limit}; --max-points-in lifts this limit")]
+    TooManyPointsIn {
+        /// The claim or the count.
+        points: u64,
+        /// The most it may have.
+        limit: u64,
+    },
+    /// The result would have too many points.
+    #[error("the result would have {points} points, more than {limit}; --max-points-out lifts this limit")]
+    TooManyPointsOut {
+        /// What was asked for.
+        points: u64,
+        /// The most it may have.
+        limit: u64,
+    },
+    /// Neither PLY nor XYZ.
+    #[error("{0}")]
+    UnsupportedFormat(String),
+    /// The body is compressed.
+    #[error("Content-Encoding {0:?} is not supported; send the body as it is")]
+    UnsupportedEncoding(String),
+    /// A readable cloud that cannot be upsampled: too few points, all equal.
+    #[error("{0}")]
+    Impossible(String),
+    /// Not ready yet.
+    #[error("the model is being loaded; /readyz says when it is ready")]
+    WarmingUp,
+    /// About to stop.
+    #[error("the server is stopping and takes no more work")]
+    Draining,
+    /// The engine's queue is full.
+    #[error(
+        "{queued} points are queued or being worked on, and this request would add {wanted}, above the \
+         limit of {limit}; --queue-points lifts this limit"
+    )]
+    QueueFull {
+        /// Points in this request's result.
+        wanted: u64,
+        /// Points in the results of all requests before it.
+        queued: u64,
+        /// The most there may be.
+        limit: u64,
+        /// From the backlog and the measured rate.
+        retry_after: Duration,
+    },
+    /// Uploads and unsent results hold all the memory they may.
+    #[error(
+        "uploads and unsent results hold {used} of {limit} bytes, which leaves too little for this \
+         request; --max-held-bytes lifts this limit"
+    )]
+    HeldFull {
+        /// What they hold.
+        used: u64,
+        /// What they may hold.
+        limit: u64,
+    },
+    /// The result was not complete in time.
+    #[error(
+        "the result was not complete after {} s, upload and queueing included; --request-timeout lifts \
+         this limit", .limit.as_secs_f64()
+    )]
+    Deadline {
+        /// How long a request may take.
+        limit: Duration,
+    },
+    /// A failure of the server's own.
+    #[error("the server failed; its log tells more under this request's id")]
+    Internal(
+        /// For the log only.
+        String,
+    ),
+}
+
+impl From<FormatError> for Problem {
+    fn from(error: FormatError) -> Self {
+        match error {
+            FormatError::Unrecognised { .. } => Self::UnsupportedFormat(error.to_string()),
+            FormatError::Malformed { .. } | FormatError::Truncated { .. } => {
+                Self::Malformed(error.to_string())
+            }
+            FormatError::TooManyPoints { points, limit } => Self::TooManyPointsIn { points, limit },
+            FormatError::TooLarge { limit, .. } => Self::BodyTooLarge { limit },
+            FormatError::Empty(_) => Self::Impossible(error.to_string()),
+            // What only writers and mesh readers give, or what memory as a source cannot.
+            _ => Self::Internal(error.to_string()),
+        }
+    }
+}
+
+impl From<CascadeError> for Problem {
+    fn from(error: CascadeError) -> Self {
+        match error {
+            CascadeError::Ratio(_) => Self::parameter("ratio", error.to_string()),
+            CascadeError::Points { .. }
+            | CascadeError::TooFewPoints { .. }
+            | CascadeError::TooManyDuplicates { .. }
+            | CascadeError::Frame(_) => Self::Impossible(error.to_string()),
+            CascadeError::Overlap(_) | CascadeError::Backend(_) => Self::Internal(error.to_string()),
+            // Nobody but a stopping engine cancels a request that is still waited for.
+            CascadeError::Cancelled => Self::Draining,
+        }
+    }
+}
+
+impl Problem {
+    /// What the engine's refusal or failure is to a client; `retry_after` is its backlog.
+    pub(super) fn from_engine(error: EngineError, retry_after: Duration) -> Self {
+        match error {
+            EngineError::Full { wanted, queued, limit } => {
+                Self::QueueFull { wanted, queued, limit, retry_after }
+            }
+            EngineError::Cancelled => Self::Draining,
+            EngineError::Cascade(error) => error.into(),
+            EngineError::Internal(why) => Self::Internal(why),
+        }
+    }
+}
+
+/// One row of the table.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Row {
+    status: StatusCode,
+    /// Last part of `type`, and the `outcome` in metrics and logs.
+    name: &'static str,
+    title: &'static str,
+    /// The setting that lifts the limit, where one does.
+    setting: Option<&'static str>,
+}
+
+/// How long a client should wait where the backlog says nothing.
+const SOON: Duration = Duration::from_secs(5);
+
+impl Problem {
+    pub(super) fn parameter(name: &str, why: String) -> Self {
+        Self::Parameter { name: name.to_owned(), why }
+    }
+
+    /// The outcome of the request, for metrics and logs.
+    pub(super) fn outcome(&self) -> &'static str {
+        self.row().name
+    }
+
+    /// The table.
+    fn row(&self) -> Row {
+        use StatusCode as S;
+        let (status, name, title, setting) = match self {
+            Self::NotFound => (S::NOT_FOUND, "not-found", "No such path", None),
+            Self::MethodNotAllowed => {
+                (S::METHOD_NOT_ALLOWED, "method-not-allowed", "Not for this method", None)
+            }
+            Self::Parameter { .. } => (S::BAD_REQUEST, "invalid-parameter", "Invalid parameter", None),
+            Self::Interrupted(_) => (S::BAD_REQUEST, "interrupted-body", "The body broke off", None),
+            Self::Malformed(_) => (S::BAD_REQUEST, "malformed-cloud", "The cloud cannot be read", None),
+            Self::UploadStalled { .. } => {
+                (S::REQUEST_TIMEOUT, "upload-stalled", "The upload stalled", Some("--stall-timeout"))
+            }
+            Self::BodyTooLarge { .. } => {
+                (S::PAYLOAD_TOO_LARGE, "body-too-large", "The body is too large", Some("--max-body-bytes"))
+            }
+            Self::TooManyPointsIn { .. } => (
+                S::PAYLOAD_TOO_LARGE,
+                "too-many-points-in",
+                "The cloud has too many points",
+                Some("--max-points-in"),
+            ),
+            Self::TooManyPointsOut { .. } => (
+                S::PAYLOAD_TOO_LARGE,
+                "too-many-points-out",
+                "The result would have too many points",
+                Some("--max-points-out"),
+            ),
+            Self::UnsupportedFormat(_) => {
+                (S::UNSUPPORTED_MEDIA_TYPE, "unsupported-format", "Not a PLY or XYZ file", None)
+            }
+            Self::UnsupportedEncoding(_) => {
+                (S::UNSUPPORTED_MEDIA_TYPE, "unsupported-encoding", "The body is compressed", None)
+            }
+            Self::Impossible(_) => {
+                (S::UNPROCESSABLE_ENTITY, "impossible-cloud", "The cloud cannot be upsampled", None)
+            }
+            Self::WarmingUp => (S::SERVICE_UNAVAILABLE, "warming-up", "Not ready yet", None),
+            Self::Draining => (S::SERVICE_UNAVAILABLE, "draining", "About to stop", None),
+            Self::QueueFull { .. } => {
+                (S::SERVICE_UNAVAILABLE, "queue-full", "The queue is full", Some("--queue-points"))
+            }
+            Self::HeldFull { .. } => {
+                (S::SERVICE_UNAVAILABLE, "memory-full", "The memory is in use", Some("--max-held-bytes"))
+            }
+            Self::Deadline { .. } => {
+                (S::GATEWAY_TIMEOUT, "deadline", "It took too long", Some("--request-timeout"))
+            }
+            Self::Internal(_) => (S::INTERNAL_SERVER_ERROR, "internal", "The server failed", None),
+        };
+        Row { status, name, title, setting }
+    }
+
+    /// The number that was passed, where the problem is a limit.
+    fn limit(&self) -> Option<serde_json::Number> {
+        let seconds = |limit: &Duration| serde_json::Number::from_f64(limit.as_secs_f64());
+        match self {
+            Self::BodyTooLarge { limit }
+            | Self::TooManyPointsIn { limit, .. }
+            | Self::TooManyPointsOut { limit, .. }
+            | Self::QueueFull { limit, .. }
+            | Self::HeldFull { limit, .. } => Some((*limit).into()),
+            Self::UploadStalled { limit } | Self::Deadline { limit } => seconds(limit),
+            _ => None,
+        }
+    }
+
+    fn retry_after(&self) -> Option<Duration> {
+        match self {
+            Self::QueueFull { retry_after, .. } => Some(*retry_after),
+            Self::WarmingUp | Self::Draining | Self::HeldFull { .. } => Some(SOON),
+            _ => None,
+        }
+    }
+
+    /// The body, as JSON. A separate step from [`IntoResponse`], because only the outermost layer
+    /// knows the request's id.
+    pub(super) fn body(&self, request_id: &str) -> Body {
+        let Row { status, name, title, setting } = self.row();
+        let document = Document {
+            kind: format!("urn:densecloud:problem:{name}"),
+            title,
+            status: status.as_u16(),
+            detail: self.to_string(),
+            parameter: match self {
+                Self::Parameter { name, .. } => Some(name),
+                _ => None,
+            },
+            limit: self.limit(),
+            setting,
+            request_id,
+        };
+        // Strings and numbers only: there is nothing that JSON could not hold.
+        Body::from(serde_json::to_vec(&document).unwrap_or_default())
+    }
+}
+
+/// The members of RFC 9457, then our own.
+#[derive(Serialize)]
+struct Document<'a> {
+    #[serde(rename = "type")]
+    kind: String,
+    title: &'static str,
+    status: u16,
+    detail: String,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    parameter: Option<&'a str>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    limit: Option<serde_json::Number>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    setting: Option<&'static str>,
+    request_id: &'a str,
+}
+
+impl IntoResponse for Problem {
+    /// Status and headers; the problem itself goes along as an extension, for
+    /// [`super::record`] to write its body.
+    fn into_response(self) -> Response {
+        let mut response = self.row().status.into_response();
+        let headers = response.headers_mut();
+        headers.insert(header::CONTENT_TYPE, HeaderValue::from_static("application/problem+json"));
+        if let Some(wait) = self.retry_after() {
+            // Rounded up: one who comes back a moment early is refused again.
+            let seconds = wait.as_secs() + u64::from(wait.subsec_nanos() > 0);
+            headers.insert(header::RETRY_AFTER, seconds.max(1).into());
+        }
+        if let Self::UnsupportedEncoding(_) = self {
+            // RFC 9110, section 15.5.16: says what would have been accepted.
+            headers.insert(header::ACCEPT_ENCODING, HeaderValue::from_static("identity"));
+        }
+        response.extensions_mut().insert(self);
+        response
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// One of each.
+    fn all() -> Vec<(Problem, u16, &'static str)> {
+        let second = Duration::from_millis(1500);
+        vec![
+            (Problem::NotFound, 404, "not-found"),
+            (Problem::MethodNotAllowed, 405, "method-not-allowed"),
+            (Problem::parameter("ratio", "missing".into()), 400, "invalid-parameter"),
+            (Problem::Interrupted("x".into()), 400, "interrupted-body"),
+            (Problem::Malformed("x".into()), 400, "malformed-cloud"),
+            (Problem::UploadStalled { limit: second }, 408, "upload-stalled"),
+            (Problem::BodyTooLarge { limit: 5 }, 413, "body-too-large"),
+            (Problem::TooManyPointsIn { points: 9, limit: 5 }, 413, "too-many-points-in"),
+            (Problem::TooManyPointsOut { points: 9, limit: 5 }, 413, "too-many-points-out"),
+            (Problem::UnsupportedFormat("x".into()), 415, "unsupported-format"),
+            (Problem::UnsupportedEncoding("gzip".into()), 415, "unsupported-encoding"),
+            (Problem::Impossible("x".into()), 422, "impossible-cloud"),
+            (Problem::WarmingUp, 503, "warming-up"),
+            (Problem::Draining, 503, "draining"),
+            (Problem::QueueFull { wanted: 1, queued: 5, limit: 5, retry_after: second }, 503, "queue-full"),
+            (Problem::HeldFull { used: 4, limit: 5 }, 503, "memory-full"),
+            (Problem::Deadline { limit: second }, 504, "deadline"),
+            (Problem::Internal("secret".into()), 500, "internal"),
+        ]
+    }
+
+    async fn document(problem: &Problem) -> serde_json::Value {
+        let bytes = axum::body::to_bytes(problem.body("id-1"), 10_000).await.expect("a body");
+        serde_json::from_slice(&bytes).expect("JSON")
+    }
+
+    #[tokio::test]
+    async fn the_table() {
+        let mut names = std::collections::BTreeSet::new();
+        for (problem, status, name) in all() {
+            let body = document(&problem).await;
+            assert_eq!(body["status"], status, "{problem:?}");
+            assert_eq!(body["type"], format!("urn:densecloud:problem:{name}"));
+            assert_eq!(body["request_id"], "id-1");
+            assert!(!body["title"].as_str().expect("a title").is_empty());
+            assert!(names.insert(name), "{name} names two problems");
+            assert_eq!(problem.outcome(), name);
+            let response = problem.into_response();
+            assert_eq!(response.status().as_u16(), status);
+            assert_eq!(response.headers()["content-type"], "application/problem+json");
+            assert_eq!(response.headers().contains_key("retry-after"), status == 503);
+        }
+    }
+
+    #[tokio::test]
+    async fn a_limit_is_told_with_its_number_and_the_setting_that_lifts_it() {
+        for (problem, _, name) in all() {
+            let row = problem.row();
+            if let Some(setting) = row.setting {
+                assert!(problem.to_string().contains(setting), "{name}: {problem}");
+                assert_eq!(document(&problem).await["setting"], setting);
+            }
+            assert!(problem.limit().is_none() || row.setting.is_some(), "{name} has a limit but no setting");
+        }
+        assert_eq!(document(&Problem::TooManyPointsIn { points: 9, limit: 5 }).await["limit"], 5);
+        assert_eq!(document(&Problem::parameter("ratio", "x".into())).await["parameter"], "ratio");
+    }
+
+    #[tokio::test]
+    async fn what_failed_inside_stays_inside() {
+        let body = document(&Problem::Internal("/srv/secret".into())).await;
+        assert!(!body.to_string().contains("secret"), "{body}");
+    }
+
+    #[test]
+    fn inner_errors_find_their_place_in_the_table() {
+        use crate::backend::BackendError;
+        use crate::cloud::FrameError;
+        use crate::formats::Place;
+        let name = |problem: Problem| problem.row().name;
+        for (error, expected) in [
+            (FormatError::Unrecognised { found: "a ZIP file".into() }, "unsupported-format"),
+            (FormatError::Malformed { at: Place::Line(3), why: "x".into() }, "malformed-cloud"),
+            (FormatError::Truncated { at: Place::Byte(3), why: "x".into() }, "malformed-cloud"),
+            (FormatError::TooManyPoints { points: 9, limit: 5 }, "too-many-points-in"),
+            (FormatError::TooLarge { bytes: 9, limit: 5 }, "body-too-large"),
+            (FormatError::Empty("points"), "impossible-cloud"),
+            (FormatError::WrongCount { promised: 1, written: 2 }, "internal"),
+        ] {
+            let text = error.to_string();
+            assert_eq!(name(error.into()), expected, "{text}");
+        }
+        let run = BackendError::Run { unit: 1, why: "x".into() };
+        for (error, expected) in [
+            (CascadeError::Ratio(99.0), "invalid-parameter"),
+            (CascadeError::Points { wanted: 1, from: 9 }, "impossible-cloud"),
+            (CascadeError::TooFewPoints { distinct: 1, duplicates: 0, needed: 33 }, "impossible-cloud"),
+            (CascadeError::TooManyDuplicates { distinct: 1, total: 99 }, "impossible-cloud"),
+            (CascadeError::Frame(FrameError::Degenerate), "impossible-cloud"),
+            (CascadeError::Backend(run), "internal"),
+            (CascadeError::Cancelled, "draining"),
+        ] {
+            let text = error.to_string();
+            assert_eq!(name(Problem::from_engine(EngineError::Cascade(error), SOON)), expected, "{text}");
+        }
+        let full = EngineError::Full { wanted: 1, queued: 5, limit: 5 };
+        assert_eq!(Problem::from_engine(full, SOON).retry_after(), Some(SOON));
+        assert_eq!(name(Problem::from_engine(EngineError::Internal("x".into()), SOON)), "internal");
+    }
+
+    #[test]
+    fn retry_after_rounds_up_to_whole_seconds() {
+        for (millis, seconds) in [(0, "1"), (1, "1"), (1000, "1"), (1001, "2"), (90_000, "90")] {
+            let retry_after = Duration::from_millis(millis);
+            let full = Problem::QueueFull { wanted: 1, queued: 5, limit: 5, retry_after };
+            let response = full.into_response();
+            assert_eq!(response.headers()["retry-after"], seconds, "{millis} ms");
+        }
+    }
+}

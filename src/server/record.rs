@@ -1,0 +1,180 @@
+//! Around every request: its id, its line in the log, its place in the metrics.
+
+use std::pin::Pin;
+use std::sync::Arc;
+use std::task::{Context, Poll};
+use std::time::Instant;
+
+use axum::body::{Body, Bytes, HttpBody};
+use axum::extract::{Request, State};
+use axum::http::{Method, StatusCode, header};
+use axum::middleware::Next;
+use axum::response::Response;
+use hyper::body::{Frame, SizeHint};
+use tracing::{Instrument, Span};
+
+use super::accept::Connection;
+use super::activity::Busy;
+use super::app::App;
+use super::problem::Problem;
+use super::request_id::{self, RequestId};
+
+/// Points in and out of an answered request; a handler leaves them on its response for the log.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Points {
+    pub(super) read: u64,
+    pub(super) made: u64,
+}
+
+/// The outermost layer. The record it keeps ends with the response's last byte, not its first, and
+/// also where the client leaves in between: it is dropped with the handler or with the body.
+pub(super) async fn record(State(app): State<Arc<App>>, request: Request, next: Next) -> Response {
+    let id = RequestId::of(request.headers());
+    let connection = request.extensions().get::<Connection>().cloned();
+    let peer = connection.as_ref().map(|c| c.peer);
+    let span = tracing::info_span!(
+        "request", id = id.as_str(), peer = peer.map(tracing::field::display),
+        method = %request.method(), path = request.uri().path(),
+    );
+    let busy = connection.map(|connection| connection.activity.begin());
+    let mut record = Record::begin(app, request.uri().path(), span.clone(), busy);
+    let bodyless = request.method() == Method::HEAD;
+    let mut response = next.run(request).instrument(span).await;
+    record.status = Some(response.status());
+    record.points = response.extensions_mut().remove();
+    response.headers_mut().insert(request_id::HEADER, id.header_value());
+    let verdict = match response.extensions_mut().remove::<Problem>() {
+        None => "ok",
+        Some(problem) => {
+            if let Problem::Internal(why) = &problem {
+                tracing::error!(parent: &record.span, why, "internal failure");
+            }
+            *response.body_mut() = problem.body(id.as_str());
+            record.why = Some(problem.to_string());
+            problem.outcome()
+        }
+    };
+    let length = match response.headers().get(header::CONTENT_LENGTH) {
+        _ if bodyless => Some(0),
+        Some(length) => length.to_str().ok().and_then(|length| length.parse().ok()),
+        None => response.body().size_hint().exact(),
+    };
+    response.map(|body| Body::new(Recorded::new(body, record, verdict, length)))
+}
+
+/// One request, until its response is over.
+struct Record {
+    app: Arc<App>,
+    /// Health checks and scrapes: too many, and too dull, to be logged and counted.
+    probe: bool,
+    start: Instant,
+    span: Span,
+    busy: Option<Busy>,
+    status: Option<StatusCode>,
+    points: Option<Points>,
+    why: Option<String>,
+    outcome: &'static str,
+}
+
+impl Record {
+    fn begin(app: Arc<App>, path: &str, span: Span, busy: Option<Busy>) -> Self {
+        let probe = matches!(path, "/healthz" | "/readyz" | "/metrics");
+        if !probe {
+            app.in_flight.send_modify(|count| *count += 1);
+            app.metrics.begun();
+        }
+        Self {
+            app,
+            probe,
+            start: Instant::now(),
+            span,
+            busy,
+            status: None,
+            points: None,
+            why: None,
+            // Until something else is known.
+            outcome: "cancelled",
+        }
+    }
+}
+
+impl Drop for Record {
+    fn drop(&mut self) {
+        if self.probe {
+            return;
+        }
+        let took = self.start.elapsed();
+        self.app.metrics.ended(self.outcome, took);
+        tracing::info!(
+            parent: &self.span, outcome = self.outcome, status = self.status.map(|s| s.as_u16()),
+            points_in = self.points.map(|p| p.read), points_out = self.points.map(|p| p.made),
+            seconds = took.as_secs_f64(), why = self.why, "request over",
+        );
+        self.app.in_flight.send_modify(|count| *count -= 1);
+    }
+}
+
+/// A response's body that carries its request's record.
+struct Recorded {
+    body: Body,
+    record: Record,
+    /// The outcome once everything is sent.
+    verdict: &'static str,
+    /// Bytes still to come, where known: hyper drops a body of known length without asking it for
+    /// its end.
+    left: Option<u64>,
+}
+
+impl Recorded {
+    fn new(body: Body, mut record: Record, verdict: &'static str, left: Option<u64>) -> Self {
+        if let Some(busy) = &mut record.busy {
+            busy.sending();
+        }
+        let mut recorded = Self { body, record, verdict, left };
+        recorded.sent(0);
+        recorded
+    }
+
+    fn sent(&mut self, bytes: u64) {
+        self.left = self.left.map(|left| left.saturating_sub(bytes));
+        if self.left == Some(0) {
+            self.record.outcome = self.verdict;
+        }
+    }
+}
+
+impl HttpBody for Recorded {
+    type Data = Bytes;
+    type Error = axum::Error;
+
+    fn poll_frame(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+    ) -> Poll<Option<Result<Frame<Bytes>, axum::Error>>> {
+        let polled = Pin::new(&mut self.body).poll_frame(context);
+        match &polled {
+            Poll::Pending => {}
+            Poll::Ready(None) => self.record.outcome = self.verdict,
+            Poll::Ready(Some(Err(error))) => {
+                self.record.outcome = "failed";
+                self.record.why = Some(error.to_string());
+            }
+            Poll::Ready(Some(Ok(frame))) => {
+                let bytes = frame.data_ref().map_or(0, Bytes::len) as u64;
+                self.sent(bytes);
+                if let Some(busy) = &self.record.busy {
+                    busy.piece();
+                }
+            }
+        }
+        polled
+    }
+
+    fn is_end_stream(&self) -> bool {
+        self.body.is_end_stream()
+    }
+
+    fn size_hint(&self) -> SizeHint {
+        self.body.size_hint()
+    }
+}

@@ -1,0 +1,218 @@
+//! Receiving a request's body: into memory, under limits, refused as soon as its header is there.
+
+use std::time::{Duration, Instant};
+
+use axum::body::{Body, Bytes, HttpBody};
+use axum::http::{HeaderMap, header};
+use http_body_util::BodyExt;
+use tokio::time::timeout;
+
+use super::app::App;
+use super::budget::Held;
+use super::problem::Problem;
+use super::query::Parameters;
+use crate::cloud::Cloud;
+use crate::formats::{CloudReader, Format, FormatError, Limits};
+
+/// A body that arrives, or is given up politely.
+pub(super) struct Upload {
+    body: Body,
+    /// Nothing has been read yet, and the client waits for a `100 Continue` before it sends.
+    waits: bool,
+}
+
+/// A body that has arrived.
+#[derive(Debug)]
+pub(super) struct Received {
+    bytes: Vec<u8>,
+    // Given back with the bytes, wherever these are dropped.
+    _held: Held,
+    /// How long it took to arrive.
+    pub(super) took: Duration,
+}
+
+/// How long, and how much of, a refused body is read and thrown away, so that the client finds the
+/// answer before the connection closes under it.
+const LINGER: Duration = Duration::from_secs(2);
+const LINGER_BYTES: usize = 64 << 20;
+
+/// Bytes after which text tells its format.
+const SNIFF: usize = 4096;
+
+impl Upload {
+    pub(super) fn new(headers: &HeaderMap, body: Body) -> Self {
+        Self { body, waits: headers.contains_key(header::EXPECT) }
+    }
+
+    /// Reads the body to its end. Memory grows with what arrives, not with what is claimed.
+    ///
+    /// # Errors
+    /// The body is compressed, too large, stalls or breaks off; its header claims too much, for the
+    /// input or for the result; or its beginning is in no known format. All but the end of the body
+    /// are noticed while it arrives.
+    pub(super) async fn receive(
+        &mut self,
+        headers: &HeaderMap,
+        app: &App,
+        parameters: &Parameters,
+    ) -> Result<Received, Problem> {
+        let start = Instant::now();
+        check_encoding(headers)?;
+        let limit = app.config.limits.body_bytes;
+        let too_large = Problem::BodyTooLarge { limit };
+        // From Content-Length, or from HTTP/2's END_STREAM.
+        if self.body.size_hint().lower() > limit {
+            return Err(too_large);
+        }
+        let mut held = app.budget.hold(0).ok_or_else(|| app.held_full())?;
+        let mut bytes = Vec::new();
+        let mut header_seen = false;
+        while let Some(chunk) = self.next(app.config.timeouts.stall).await? {
+            if (bytes.len() + chunk.len()) as u64 > limit {
+                return Err(too_large);
+            }
+            if !held.grow(chunk.len() as u64) {
+                return Err(app.held_full());
+            }
+            bytes.extend_from_slice(&chunk);
+            if !header_seen && header_is_there(&bytes, chunk.len()) {
+                header_seen = true;
+                check_header(&bytes, app, parameters)?;
+            }
+        }
+        Ok(Received { bytes, _held: held, took: start.elapsed() })
+    }
+
+    /// Throws away what still arrives, in the background, for a moment.
+    ///
+    /// Closing a connection while the client sends makes its system discard our answer (the reset
+    /// overtakes it), so the reason for the refusal would often be lost.
+    pub(super) fn give_up(self) {
+        if self.waits || self.body.is_end_stream() {
+            return;
+        }
+        let mut body = self.body;
+        tokio::spawn(timeout(LINGER, async move {
+            let mut left = LINGER_BYTES;
+            while let Some(Ok(frame)) = body.frame().await {
+                left = left.saturating_sub(frame.data_ref().map_or(0, Bytes::len));
+                if left == 0 {
+                    break;
+                }
+            }
+        }));
+    }
+
+    /// The next piece, or nothing at the end.
+    async fn next(&mut self, stall: Duration) -> Result<Option<Bytes>, Problem> {
+        loop {
+            self.waits = false;
+            match timeout(stall, self.body.frame()).await {
+                Err(_) => return Err(Problem::UploadStalled { limit: stall }),
+                Ok(None) => return Ok(None),
+                Ok(Some(Err(error))) => return Err(Problem::Interrupted(error.to_string())),
+                // Trailers are no part of a cloud.
+                Ok(Some(Ok(frame))) => {
+                    if let Ok(data) = frame.into_data() {
+                        return Ok(Some(data));
+                    }
+                }
+            }
+        }
+    }
+}
+
+impl Received {
+    /// Reads the cloud, and the format it came in. Blocking work: O(bytes).
+    ///
+    /// # Errors
+    /// What [`CloudReader`] gives, as problems.
+    pub(super) fn parse(self, app: &App) -> Result<(Cloud, Format), Problem> {
+        let reader = CloudReader::open(&self.bytes[..], reader_limits(app))?;
+        let format = reader.header().format;
+        Ok((reader.read()?, format))
+    }
+}
+
+fn reader_limits(app: &App) -> Limits {
+    let limits = &app.config.limits;
+    Limits { max_bytes: Some(limits.body_bytes), max_points: Some(limits.points_in) }
+}
+
+fn check_encoding(headers: &HeaderMap) -> Result<(), Problem> {
+    match headers.get(header::CONTENT_ENCODING) {
+        Some(coding) if !coding.as_bytes().eq_ignore_ascii_case(b"identity") => {
+            Err(Problem::UnsupportedEncoding(String::from_utf8_lossy(coding.as_bytes()).into_owned()))
+        }
+        _ => Ok(()),
+    }
+}
+
+fn is_ply(bytes: &[u8]) -> bool {
+    bytes.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(bytes).starts_with(b"ply")
+}
+
+/// Whether these first bytes of a body, of which `new` have just arrived, hold its header.
+fn header_is_there(bytes: &[u8], new: usize) -> bool {
+    const END: &[u8] = b"end_header";
+    if !is_ply(bytes) {
+        return bytes.len() >= SNIFF;
+    }
+    // One line end must follow. Only what is new is searched: a header that comes byte by byte
+    // must not cost the square of its length.
+    let from = (bytes.len() - new).saturating_sub(END.len() + 1);
+    bytes[from..].windows(END.len() + 1).any(|w| w.starts_with(END) && w[END.len()].is_ascii_whitespace())
+}
+
+/// Refuses from the first bytes alone what could only be refused later.
+fn check_header(bytes: &[u8], app: &App, parameters: &Parameters) -> Result<(), Problem> {
+    match CloudReader::open(bytes, reader_limits(app)) {
+        Ok(reader) => reader.header().points.map_or(Ok(()), |points| app.check_points(points, parameters)),
+        // Text is cut off somewhere here, so only the whole of it can be judged.
+        Err(FormatError::Malformed { .. } | FormatError::Truncated { .. } | FormatError::Empty(_))
+            if !is_ply(bytes) =>
+        {
+            Ok(())
+        }
+        Err(error) => Err(error.into()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_ply_header_is_noticed_with_its_last_byte_however_it_is_cut() {
+        let header = b"ply\nformat ascii 1.0\nelement vertex 3\nend_header\n";
+        for cut in [1, 2, 3, 7, header.len()] {
+            let mut seen = None;
+            for end in (cut..=header.len()).step_by(cut).chain([header.len()]) {
+                let start = end.saturating_sub(cut);
+                if header_is_there(&header[..end], end - start) {
+                    seen = Some(end);
+                    break;
+                }
+            }
+            assert_eq!(seen, Some(header.len()), "pieces of {cut}");
+        }
+    }
+
+    #[test]
+    fn text_is_looked_at_once_there_is_enough_of_it() {
+        assert!(!header_is_there(b"1 2 3\n", 6));
+        assert!(header_is_there(&[b' '; SNIFF], 1));
+    }
+
+    #[test]
+    fn only_plain_bodies_are_taken() {
+        let coded = |coding: &'static str| {
+            let mut headers = HeaderMap::new();
+            headers.insert(header::CONTENT_ENCODING, header::HeaderValue::from_static(coding));
+            check_encoding(&headers)
+        };
+        assert_eq!(check_encoding(&HeaderMap::new()), Ok(()));
+        assert_eq!(coded("Identity"), Ok(()));
+        assert_eq!(coded("gzip"), Err(Problem::UnsupportedEncoding("gzip".into())));
+    }
+}

@@ -1,0 +1,146 @@
+//! `POST /upsample`: a cloud in, a dense cloud out.
+
+use std::fmt::Write;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use axum::body::Body;
+use axum::extract::State;
+use axum::http::{HeaderMap, HeaderValue, Uri, header};
+use axum::response::{IntoResponse, Response};
+use tokio::task::spawn_blocking;
+use tokio::time::timeout;
+
+use super::app::App;
+use super::budget::Held;
+use super::download::{self, result_bytes};
+use super::problem::Problem;
+use super::query::Parameters;
+use super::record::Points;
+use super::upload::{Received, Upload};
+use crate::cascade::Settings;
+use crate::engine::{Job, Request};
+use crate::formats::Format;
+
+/// The handler. A client that leaves drops this future at one of its waits, with it the job, and so
+/// stops the work.
+pub(super) async fn upsample(
+    State(app): State<Arc<App>>,
+    uri: Uri,
+    headers: HeaderMap,
+    body: Body,
+) -> Result<Response, Problem> {
+    let mut upload = Upload::new(&headers, body);
+    let limit = app.config.timeouts.request;
+    let answer = timeout(limit, answer(&app, &uri, &headers, &mut upload)).await;
+    let answer = answer.unwrap_or(Err(Problem::Deadline { limit }));
+    upload.give_up();
+    answer
+}
+
+async fn answer(
+    app: &Arc<App>,
+    uri: &Uri,
+    headers: &HeaderMap,
+    upload: &mut Upload,
+) -> Result<Response, Problem> {
+    app.readiness.check()?;
+    let parameters = Parameters::parse(uri)?;
+    let received = upload.receive(headers, app, &parameters).await?;
+    let mut timing = Timing::default();
+    timing.add(app, "upload", received.took);
+    let start = Instant::now();
+    let submit = {
+        let app = Arc::clone(app);
+        spawn_blocking(move || submit(&app, received, &parameters))
+    };
+    let submitted = submit.await.map_err(|error| Problem::Internal(error.to_string()))??;
+    timing.add(app, "parse", start.elapsed());
+    let start = Instant::now();
+    let Submitted { job, held, format, points_in, mut warnings } = submitted;
+    let outcome = job.await.map_err(|error| Problem::from_engine(error, app.engine.retry_after()))?;
+    warnings.extend(outcome.warnings());
+    timing.add(app, "queue", start.elapsed().saturating_sub(outcome.stages.total()));
+    for (stage, took) in outcome.stages.iter() {
+        timing.add(app, stage.name(), took);
+    }
+    let points = Points { read: points_in, made: outcome.positions.len() as u64 };
+    app.metrics.points(points.read, points.made);
+    let mut response = download::body(outcome.positions, format, held).into_response();
+    let headers = response.headers_mut();
+    headers.insert(header::CONTENT_TYPE, HeaderValue::from_static(format.media_type()));
+    if let Some(length) = format.encoded_len(points.made) {
+        headers.insert(header::CONTENT_LENGTH, length.into());
+    }
+    headers.insert("densecloud-points-in", points.read.into());
+    headers.insert("densecloud-points-out", points.made.into());
+    headers.insert("server-timing", visible(&timing.0));
+    for warning in warnings {
+        headers.append("densecloud-warning", visible(&warning));
+    }
+    response.extensions_mut().insert(points);
+    Ok(response)
+}
+
+/// A cloud that the engine has taken.
+struct Submitted {
+    job: Job,
+    /// Room for the result, taken beforehand: a finished result never lacks memory.
+    held: Held,
+    format: Format,
+    points_in: u64,
+    /// What its sender should know about how it was read.
+    warnings: Vec<String>,
+}
+
+/// Blocking work: parses the body and queues the cloud.
+fn submit(app: &App, received: Received, parameters: &Parameters) -> Result<Submitted, Problem> {
+    let (mut cloud, format) = received.parse(app)?;
+    let points_in = cloud.positions.len() as u64;
+    app.check_points(points_in, parameters)?;
+    let room = result_bytes(parameters.points_out(points_in));
+    let held = app.budget.hold(room).ok_or_else(|| app.held_full())?;
+    let mut settings = Settings::default();
+    if let Some(seed) = parameters.seed {
+        settings.seed = seed;
+    }
+    let positions = std::mem::take(&mut cloud.positions);
+    let request = Request { positions, target: parameters.target, settings };
+    let job =
+        app.engine.submit(request).map_err(|error| Problem::from_engine(error, app.engine.retry_after()))?;
+    Ok(Submitted { job, held, format, points_in, warnings: cloud.warnings() })
+}
+
+/// The longest value of a header of ours; names of properties are the client's to choose.
+const LONGEST: usize = 1000;
+
+/// Text as a header's value: visible ASCII, `?` for the rest, cut where it is too long.
+fn visible(text: &str) -> HeaderValue {
+    let plain: String =
+        text.chars().take(LONGEST).map(|c| if c.is_ascii_graphic() || c == ' ' { c } else { '?' }).collect();
+    HeaderValue::from_str(&plain).unwrap_or(HeaderValue::from_static("?"))
+}
+
+/// How long each part took, for `/metrics` and for the `Server-Timing` header, which browsers show.
+#[derive(Default)]
+struct Timing(String);
+
+impl Timing {
+    fn add(&mut self, app: &App, stage: &'static str, took: Duration) {
+        app.metrics.stage(stage, took);
+        let comma = if self.0.is_empty() { "" } else { ", " };
+        // Writing into a string cannot fail.
+        let _ = write!(self.0, "{comma}{stage};dur={:.1}", took.as_secs_f64() * 1000.0);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_name_from_a_file_cannot_break_a_header() {
+        assert_eq!(visible("rot\r\nSet-Cookie: grün"), "rot??Set-Cookie: gr?n");
+        assert_eq!(visible(&"x".repeat(5000)).len(), LONGEST);
+    }
+}

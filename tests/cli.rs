@@ -1,0 +1,159 @@
+//! The program as a person runs it, with the model inside it.
+
+use std::io::Write;
+use std::path::Path;
+use std::process::{Command, Output, Stdio};
+
+fn densecloud(arguments: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_densecloud"));
+    command.args(arguments);
+    command
+}
+
+fn run(arguments: &[&str]) -> Output {
+    densecloud(arguments).output().expect("the program starts")
+}
+
+fn ok(arguments: &[&str]) -> Output {
+    let output = run(arguments);
+    assert!(output.status.success(), "{arguments:?}: {}", stderr(&output));
+    output
+}
+
+fn stderr(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+fn fed(arguments: &[&str], input: &[u8]) -> Output {
+    let mut child = densecloud(arguments)
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("the program starts");
+    child.stdin.take().expect("piped").write_all(input).expect("the program reads its input");
+    child.wait_with_output().expect("the program ends")
+}
+
+fn text(path: &Path) -> &str {
+    path.to_str().expect("temporary folders have UTF-8 names")
+}
+
+/// A sampled knot of `points` points in the given kind of file.
+fn knot(folder: &Path, name: &str, points: &str) -> String {
+    let path = text(&folder.join(name)).to_owned();
+    ok(&["sample", "shape:knot", &path, "--points", points]);
+    path
+}
+
+#[test]
+fn the_same_input_gives_the_same_bytes_on_any_number_of_threads() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let input = knot(folder.path(), "in.ply", "700");
+    let dense = |threads: &str| {
+        let output = folder.path().join(format!("{threads}.ply"));
+        ok(&["upsample", &input, text(&output), "--ratio", "8", "--threads", threads]);
+        std::fs::read(output).expect("a result")
+    };
+    let one = dense("1");
+    assert!(one.starts_with(b"ply\nformat binary_little_endian 1.0\n"));
+    assert!(String::from_utf8_lossy(&one[..200]).contains("element vertex 5600"));
+    assert!(one == dense("2"), "2 threads differ from 1");
+    assert!(one == dense("8"), "8 threads differ from 1");
+}
+
+#[test]
+fn the_dense_cloud_lies_on_the_surface() {
+    // Points of a unit sphere: whatever the weights, a trained cascade must stay close to it.
+    let n = 600;
+    let mut sparse = String::new();
+    for i in 0..n {
+        let z = 1.0 - (2 * i + 1) as f64 / n as f64;
+        let (r, angle) = ((1.0 - z * z).sqrt(), f64::from(i) * 2.399_963);
+        sparse += &format!("{} {} {}\n", 100.0 + r * angle.cos(), r * angle.sin(), z);
+    }
+    let output = fed(&["upsample", "-", "-", "--ratio", "4"], sparse.as_bytes());
+    assert!(output.status.success(), "{}", stderr(&output));
+    let dense = String::from_utf8(output.stdout).expect("text in, text out");
+    let radii: Vec<f64> = dense
+        .lines()
+        .map(|line| {
+            let p: Vec<f64> = line.split(' ').map(|c| c.parse().expect("a number")).collect();
+            ((p[0] - 100.0).powi(2) + p[1].powi(2) + p[2].powi(2)).sqrt()
+        })
+        .collect();
+    assert_eq!(radii.len(), 4 * n as usize);
+    let mean = radii.iter().map(|r| (r - 1.0).abs()).sum::<f64>() / radii.len() as f64;
+    assert!(mean < 0.01, "mean distance to the sphere is {mean}");
+}
+
+#[test]
+fn standard_streams_give_what_files_give() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let input = knot(folder.path(), "in.ply", "400");
+    let output = folder.path().join("out.ply");
+    ok(&["upsample", &input, text(&output), "--points", "1000"]);
+    let piped = fed(&["upsample", "-", "-", "--points", "1000"], &std::fs::read(&input).expect("the input"));
+    assert!(piped.status.success(), "{}", stderr(&piped));
+    assert!(piped.stdout == std::fs::read(output).expect("a result"));
+}
+
+#[test]
+fn dropped_properties_are_named() {
+    let mut ply = "ply\nformat ascii 1.0\nelement vertex 60\nproperty float x\nproperty float y\n\
+                   property float z\nproperty uchar red\nproperty float nx\nend_header\n"
+        .to_owned();
+    for i in 0..60 {
+        let t = f64::from(i) * 0.3;
+        ply += &format!("{} {} {} 255 0.5\n", t.cos(), t.sin(), t * 0.1);
+    }
+    let output = fed(&["upsample", "-", "-", "--ratio", "2"], ply.as_bytes());
+    assert!(output.status.success());
+    assert!(stderr(&output).contains("not carried over to the result: red, nx"), "{}", stderr(&output));
+    assert!(output.stdout.starts_with(b"ply\nformat ascii 1.0\n"));
+    let quiet = fed(&["upsample", "-", "-", "--ratio", "2", "--quiet"], ply.as_bytes());
+    assert_eq!(stderr(&quiet), "");
+}
+
+#[test]
+fn mistakes_are_told_with_what_to_do() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let input = knot(folder.path(), "in.xyz", "100");
+    let out = folder.path().join("out.ply");
+    let out = text(&out);
+    let few = folder.path().join("few.xyz");
+    std::fs::write(&few, "0 0 0\n1 0 0\n0 1 0\n").expect("written");
+    let noise = folder.path().join("noise.ply");
+    std::fs::write(&noise, [0_u8, 159, 146, 150].repeat(100)).expect("written");
+    for (arguments, code, expected) in [
+        (vec!["upsample", &input, out, "--ratio", "65"], 64, "outside 1 to 64"),
+        (vec!["upsample", &input, out, "--ratio", "nan"], 64, "outside 1 to 64"),
+        (vec!["upsample", &input, out, "--ratio", "2", "--points", "200"], 64, "cannot be used with"),
+        (vec!["upsample", &input, out, "--points", "99"], 1, "ask for 100 to 6400"),
+        (vec!["upsample", text(&few), out], 1, "needs at least 33"),
+        (vec!["upsample", text(&noise), out], 1, "noise.ply"),
+        (vec!["upsample", "/nowhere/in.ply", out], 1, "No such file"),
+        (vec!["upsample", &input, "/nowhere/out.ply"], 1, "No such file"),
+        (vec!["upsample", &input, out, "--model", "/nowhere"], 1, "model.toml"),
+        (vec!["upsample", &input], 64, "Usage"),
+        (vec!["frobnicate"], 64, "unrecognized subcommand"),
+    ] {
+        let output = run(&arguments);
+        assert_eq!(output.status.code(), Some(code), "{arguments:?}: {}", stderr(&output));
+        assert!(stderr(&output).contains(expected), "{arguments:?}: {}", stderr(&output));
+        assert!(!Path::new(out).exists(), "{arguments:?} left a file");
+    }
+}
+
+#[test]
+fn a_missing_runtime_is_told_with_what_to_do() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let input = knot(folder.path(), "in.xyz", "100");
+    let out = folder.path().join("out.xyz");
+    let output = densecloud(&["upsample", &input, text(&out)])
+        .env("ORT_DYLIB_PATH", "/nowhere/libonnxruntime.so")
+        .output()
+        .expect("the program starts");
+    assert_eq!(output.status.code(), Some(1));
+    assert!(stderr(&output).contains("set ORT_DYLIB_PATH"), "{}", stderr(&output));
+}
