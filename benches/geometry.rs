@@ -1,6 +1,7 @@
-//! Times of the geometry that every cloud goes through: `cargo bench --bench geometry [-- RUNS]`.
+//! Times of the geometry that every cloud goes through: `cargo bench --bench geometry [-- RUNS WORD ...]`.
 //!
-//! Prints the median and the extremes of some runs, on one thread, for points on a surface. Kiddo
+//! Prints the median and the extremes of some runs, on one thread, for points on a surface; only
+//! of measurements whose names hold all the words, where there are words. Kiddo
 //! is there to compare with; our tree is queried in its own order, kiddo in the same.
 
 use std::hint::black_box;
@@ -69,14 +70,34 @@ fn main() {
 }
 
 fn time<T>(what: &str, runs: usize, mut work: impl FnMut() -> T) {
-    let mut times: Vec<f64> = (0..runs.max(1))
+    if !std::env::args()
+        .skip(1)
+        .filter(|a| !a.starts_with('-') && a.parse::<usize>().is_err())
+        .all(|a| what.contains(&a))
+    {
+        return;
+    }
+    let mut times: Vec<(f64, f64)> = (0..runs.max(1))
         .map(|_| {
-            let start = Instant::now();
+            let (start, cpu) = (Instant::now(), cpu_seconds());
             black_box(work());
-            start.elapsed().as_secs_f64() * 1e3
+            (start.elapsed().as_secs_f64() * 1e3, (cpu_seconds() - cpu) * 1e3)
         })
         .collect();
-    times.sort_by(f64::total_cmp);
-    let (least, most) = (times[0], times[times.len() - 1]);
-    println!("{what:<50} {:8.1} ms  ({least:.1} to {most:.1})", times[times.len() / 2]);
+    times.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let (wall, least, most) = (times[times.len() / 2].0, times[0].0, times[times.len() - 1].0);
+    times.sort_by(|a, b| a.1.total_cmp(&b.1));
+    let cpu = times[times.len() / 2].1;
+    println!("{what:<50} {wall:8.1} ms  ({least:.1} to {most:.1}), {cpu:8.1} ms of processor");
+}
+
+/// Processor time of all threads so far, which a busy machine does not change much; 0 where the
+/// system does not tell.
+fn cpu_seconds() -> f64 {
+    let tasks = std::fs::read_dir("/proc/self/task").into_iter().flatten().flatten();
+    let nanoseconds = tasks.filter_map(|task| {
+        let text = std::fs::read_to_string(task.path().join("schedstat")).ok()?;
+        text.split_whitespace().next()?.parse::<f64>().ok()
+    });
+    nanoseconds.sum::<f64>() / 1e9
 }

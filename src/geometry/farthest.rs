@@ -14,9 +14,9 @@ const CHOSEN: f32 = -1.0;
 /// lowest index. All points when there are fewer than `count`; no index comes twice, so
 /// duplicates come last.
 ///
-/// Exact: the same indices as the plain algorithm that compares every point with every chosen
-/// one, in O(n) for each; squared distances are `f32`. Here the points are in the buckets of a k-d tree. Each node knows
-/// its bounding box and its farthest point, so a new choice descends only where it is nearer
+/// Exact: the same indices as the plain algorithm, which compares every point with every chosen
+/// one; squared distances are `f32`. Here the points are in the buckets of a k-d tree. Each node
+/// knows its bounding box and its farthest point, so a new choice descends only where it is nearer
 /// than the farthest point so far (the idea of Han et al., "QuickFPS", 2023), and the next choice
 /// is read off the root. About O((n + count) log n) on surfaces: 240,000 points to 80,000 take a
 /// fraction of a second on one core.

@@ -3,7 +3,7 @@
 use crate::cloud::Point;
 
 /// Points in a leaf at most; leaves hold between half of this and this.
-const LEAF: usize = 24;
+const LEAF: usize = 32;
 /// Up to this many neighbours are kept sorted, which is faster than a heap for few.
 const SORTED_MAX: usize = 64;
 
@@ -160,14 +160,22 @@ impl KdTree {
     fn scan(&self, query: Point, start: usize, end: usize, best: &mut impl Best) {
         let [xs, ys, zs] = self.axes.each_ref().map(|axis| &axis[start..end]);
         let mut distances = [0.0_f32; LEAF];
-        // All distances first: this loop vectorises, the next one cannot.
+        // All distances first: this loop vectorises, the next ones cannot.
         for (((d, x), y), z) in distances.iter_mut().zip(xs).zip(ys).zip(zs) {
             *d = squared([x - query[0], y - query[1], z - query[2]]);
         }
-        for (&d, &index) in distances.iter().zip(&self.order[start..end]) {
-            if d <= best.worst() {
-                best.offer(u64::from(d.to_bits()) << 32 | u64::from(index));
-            }
+        // Most points are too far, which no branch predictor can foresee: pick the others without
+        // a branch.
+        let worst = best.worst();
+        let mut near = [0_usize; LEAF];
+        let mut count = 0;
+        for (place, &d) in distances[..end - start].iter().enumerate() {
+            near[count % LEAF] = place;
+            count += usize::from(d <= worst);
+        }
+        for &place in &near[..count] {
+            let index = self.order[start + place];
+            best.offer(u64::from(distances[place].to_bits()) << 32 | u64::from(index));
         }
     }
 }
