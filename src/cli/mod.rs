@@ -4,6 +4,7 @@
 
 mod engine_args;
 mod error;
+mod evaluate;
 mod sample;
 mod serve;
 mod upsample;
@@ -26,6 +27,7 @@ struct Arguments {
 enum Command {
     Sample(sample::SampleArgs),
     Upsample(upsample::UpsampleArgs),
+    Evaluate(evaluate::EvaluateArgs),
     Serve(serve::ServeArgs),
 }
 
@@ -52,6 +54,7 @@ fn run(command: Command) -> Result<(), CliError> {
     match command {
         Command::Sample(args) => sample::run(&args),
         Command::Upsample(args) => upsample::run(&args),
+        Command::Evaluate(args) => evaluate::run(&args),
         Command::Serve(args) => serve::run(&args),
     }
 }
