@@ -1,13 +1,12 @@
 //! `densecloud evaluate`: scores of dense clouds, beside those of controls.
 
-use std::fs;
-use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 use clap::Args;
 
 use super::CliError;
 use super::engine_args::EngineArgs;
+use super::files;
 use crate::cascade::{self, Target};
 use crate::cloud::Position;
 use crate::engine::{Engine, Job, Request};
@@ -15,7 +14,7 @@ use crate::evaluate::{
     CascadeSettings, DEFAULT_TOLERANCE, FileKind, FileSet, Method, Report, Row, SetError, Settings, controls,
     score,
 };
-use crate::formats::{read_cloud_file, read_mesh_file};
+use crate::formats::read_mesh_file;
 use crate::geometry::SurfaceDistance;
 
 /// Score dense clouds against references, or run the cascade and score what it gives.
@@ -175,14 +174,14 @@ impl Shape<'_> {
         cascade: Option<&Cascade>,
         rows: &mut Vec<Row>,
     ) -> Result<(), CliError> {
-        let reference = read_cloud(self.reference)?;
-        let input = self.input.map(read_cloud).transpose()?;
+        let reference = read_positions(self.reference)?;
+        let input = self.input.map(read_positions).transpose()?;
         let read_mesh = |path| read_mesh_file(path).map_err(|e| CliError::file(path, e));
         let mesh = self.mesh.map(read_mesh).transpose()?;
         let surface = mesh.as_ref().map(SurfaceDistance::new);
 
         let prediction = match (self.pred, cascade, &input) {
-            (Some(path), ..) => read_cloud(path)?,
+            (Some(path), ..) => read_positions(path)?,
             (None, Some(cascade), Some(input)) => cascade.run(self.name, input.clone())?,
             _ => return Err(CliError::Usage("name --pred or --input".into())),
         };
@@ -224,21 +223,19 @@ impl Cascade {
     }
 }
 
-fn read_cloud(path: &Path) -> Result<Vec<Position>, CliError> {
-    read_cloud_file(path).map(|(cloud, _)| cloud.positions).map_err(|e| CliError::file(path, e))
+fn read_positions(path: &Path) -> Result<Vec<Position>, CliError> {
+    Ok(files::read_cloud(path)?.0.positions)
 }
 
 fn print(report: &Report, json: Option<&Path>) -> Result<(), CliError> {
-    let mut text = report.to_string();
     if let Some(path) = json {
-        let json = serde_json::to_string_pretty(report).map_err(failed)? + "\n";
-        if path == Path::new("-") {
-            text = json;
-        } else {
-            fs::write(path, json).map_err(|e| CliError::file(path, e))?;
+        let text = serde_json::to_string_pretty(report).map_err(failed)? + "\n";
+        files::write(path, |sink| Ok(sink.write_all(text.as_bytes())?))?;
+        if files::is_stream(path) {
+            return Ok(());
         }
     }
-    io::stdout().lock().write_all(text.as_bytes()).map_err(|e| CliError::file("-", e))
+    files::write(Path::new("-"), |sink| Ok(write!(sink, "{report}")?))
 }
 
 fn failed(error: impl std::fmt::Display) -> CliError {

@@ -5,6 +5,8 @@
 mod engine_args;
 mod error;
 mod evaluate;
+mod files;
+mod render;
 mod sample;
 mod serve;
 mod upsample;
@@ -25,6 +27,7 @@ struct Arguments {
 
 #[derive(Debug, Subcommand)]
 enum Command {
+    Render(render::RenderArgs),
     Sample(sample::SampleArgs),
     Upsample(upsample::UpsampleArgs),
     Evaluate(evaluate::EvaluateArgs),
@@ -52,6 +55,7 @@ pub fn main() -> ExitCode {
 
 fn run(command: Command) -> Result<(), CliError> {
     match command {
+        Command::Render(args) => render::run(&args),
         Command::Sample(args) => sample::run(&args),
         Command::Upsample(args) => upsample::run(&args),
         Command::Evaluate(args) => evaluate::run(&args),

@@ -1,44 +1,52 @@
 //! `densecloud sample`: point clouds from a mesh.
 
-use std::fs::File;
-use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
 
 use super::CliError;
+use super::files;
 use crate::cloud::Position;
-use crate::formats::{CloudWriter, Format, read_mesh_file};
+use crate::formats::{Format, read_mesh_file};
 use crate::geometry::{Mesh, Rng, SHAPES, poisson_disk, shape, uniform};
 
-/// Samples points on a mesh: evenly spread (Poisson-disk) or at random.
+/// Sample points on a mesh, evenly spread or at random
 #[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  densecloud sample bunny.ply bunny.xyz --points 5000
+  densecloud sample shape:knot 'knot_{points}.ply' --points 625 --points 10000 --noise 0.0025")]
 pub(super) struct SampleArgs {
-    /// A PLY or OFF mesh, or a built-in shape: shape:knot, shape:gear, shape:stairs.
+    /// A PLY or OFF mesh, or a built-in shape: shape:knot, shape:gear, shape:stairs
     mesh: String,
-    /// A .ply or .xyz file, or - for standard output (as XYZ). With several --points, the name
-    /// must contain {points}.
+
+    /// A .ply or .xyz file, or `-` for standard output (as XYZ). With several --points, the name
+    /// must contain {points}
     out: PathBuf,
-    /// How many points; may be given several times to write one file each.
+
+    /// How many points; may be given several times to write one file each
     #[arg(short = 'n', long, required = true, value_name = "N")]
     points: Vec<usize>,
-    /// How to spread them.
+
+    /// How to spread them
     #[arg(long, value_enum, default_value_t = Method::Poisson)]
     method: Method,
-    /// Same seed, same points. Samples of different sizes are independent.
+
+    /// Same seed, same points. Samples of different sizes are independent
     #[arg(long, default_value_t = 0)]
     seed: u64,
+
     /// Deviation of Gaussian noise added to each coordinate, as a fraction of half the diagonal of
-    /// the mesh's bounding box (0.0025 is the paper's 0.25 %).
+    /// the mesh's bounding box (0.0025 is the paper's 0.25 %)
     #[arg(long, default_value_t = 0.0, value_name = "FRACTION")]
     noise: f64,
 }
 
 #[derive(Debug, Clone, Copy, ValueEnum)]
 enum Method {
-    /// Poisson-disk: no two points near each other.
+    /// Poisson-disk: no two points near each other
     Poisson,
-    /// Independent and uniform by area.
+    /// Independent and uniform by area
     Uniform,
 }
 
@@ -55,7 +63,7 @@ pub(super) fn run(args: &SampleArgs) -> Result<(), CliError> {
         };
         let mut sampled = sampled.map_err(|why| CliError::file(&args.mesh, why))?;
         add_noise(&mut sampled, &mesh, args);
-        write(&path, format, &sampled)?;
+        files::write_cloud(&path, format, &sampled)?;
     }
     Ok(())
 }
@@ -70,7 +78,7 @@ fn outputs(out: &Path, points: &[usize]) -> Result<Vec<(PathBuf, Format)>, CliEr
     }
     let format = match Format::from_extension(out) {
         Some(format) => format,
-        None if is_stdout(out) => Format::Xyz,
+        None if files::is_stream(out) => Format::Xyz,
         None => {
             return Err(CliError::Usage(format!(
                 "{text}: the name must end in .ply or .xyz, which tells the format"
@@ -99,23 +107,6 @@ fn add_noise(points: &mut [Position], mesh: &Mesh, args: &SampleArgs) {
     for c in points.as_flattened_mut() {
         *c += deviation * rng.normal();
     }
-}
-
-fn is_stdout(path: &Path) -> bool {
-    path.as_os_str() == "-"
-}
-
-fn write(path: &Path, format: Format, points: &[Position]) -> Result<(), CliError> {
-    let failed = |why: &dyn std::fmt::Display| CliError::file(path, why);
-    let sink: Box<dyn Write> = if is_stdout(path) {
-        Box::new(std::io::stdout().lock())
-    } else {
-        Box::new(File::create(path).map_err(|why| failed(&why))?)
-    };
-    let mut writer =
-        CloudWriter::new(BufWriter::new(sink), format, points.len() as u64).map_err(|why| failed(&why))?;
-    writer.write(points).map_err(|why| failed(&why))?;
-    writer.finish().map_err(|why| failed(&why))?.flush().map_err(|why| failed(&why))
 }
 
 #[cfg(test)]

@@ -15,6 +15,7 @@ pub mod controls;
 mod files;
 mod metrics;
 mod nearest;
+pub mod picture;
 mod report;
 mod sphere;
 mod table;

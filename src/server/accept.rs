@@ -74,7 +74,7 @@ pub(super) async fn accept(
                 }
             },
             Some(_) = connections.join_next() => {}
-            _ = closing.wait_for(|closing| *closing) => return connections,
+            () = closed(&mut closing) => return connections,
         }
     }
 }
@@ -110,10 +110,7 @@ async fn serve(
         .keep_alive_timeout(PING);
     let mut served = pin!(builder.serve_connection(TokioIo::new(stream), service));
     let mut silence = pin!(activity.silence(&timeouts));
-    let mut close = pin!(async move {
-        // A sender that is gone means the same as true.
-        let _ = closing.wait_for(|closing| *closing).await;
-    });
+    let mut close = pin!(closed(&mut closing));
     let mut open = true;
     loop {
         tokio::select! {
@@ -133,4 +130,9 @@ async fn serve(
             }
         }
     }
+}
+
+/// Resolves once `closing` is true; a sender that is gone means the same.
+async fn closed(closing: &mut watch::Receiver<bool>) {
+    let _ = closing.wait_for(|closing| *closing).await;
 }

@@ -121,8 +121,7 @@ async fn drain(app: &App, shutdown: impl Future<Output = ()>, close: &watch::Sen
     let mut in_flight = app.in_flight.subscribe();
     tracing::info!(in_flight = *in_flight.borrow(), "draining");
     let deadline = Instant::now() + app.config.timeouts.drain;
-    let idle = timeout_at(deadline, in_flight.wait_for(|count| *count == 0)).await;
-    if idle.is_err() {
+    if timeout_at(deadline, in_flight.wait_for(|count| *count == 0)).await.is_err() {
         tracing::warn!(in_flight = *app.in_flight.borrow(), "cancelling what is not done by the deadline");
     }
     close.send_replace(true);

@@ -1,0 +1,141 @@
+//! What goes well.
+
+use densecloud::cascade::Target;
+use densecloud::formats::{Format, PlyEncoding, Scalar};
+use densecloud::server::{Config, ModelInfo};
+
+use crate::support::{PLY, Reply, Scripted, Server, cloud, dense, encode};
+
+#[test]
+fn the_answer_is_the_librarys_own_result_in_the_format_of_the_request() {
+    let server = Server::start(&Scripted::new(), Config::default());
+    let ply = |encoding, scalar| Format::Ply { encoding, scalar };
+    for (format, query, target, seed) in [
+        (PLY, "ratio=4", Target::Ratio(4.0), 0),
+        (ply(PlyEncoding::BinaryBigEndian, Scalar::F64), "ratio=2.5&seed=7", Target::Ratio(2.5), 7),
+        (ply(PlyEncoding::Ascii, Scalar::F32), "points=1001", Target::Points(1001), 0),
+        (Format::Xyz, "ratio=16", Target::Ratio(16.0), 0),
+    ] {
+        let reply = server.post(&format!("/upsample?{query}"), &encode(&cloud(300), format));
+        assert_eq!(reply.status, 200, "{query}: {}", reply.text());
+        let expected = dense(cloud(300), target, seed);
+        assert!(reply.body == encode(&expected, format), "{format:?} {query}");
+        assert_eq!(reply.header("content-type"), Some(format.media_type()));
+        assert_eq!(reply.header("densecloud-points-in"), Some("300"));
+        assert_eq!(reply.header("densecloud-points-out"), Some(expected.len().to_string().as_str()));
+        assert_eq!(reply.header("densecloud-warning"), None);
+        let length = format.encoded_len(expected.len() as u64).map(|length| length.to_string());
+        assert_eq!(reply.header("content-length"), length.as_deref(), "told where it is known");
+        let timing = reply.header("server-timing").expect("timing");
+        for stage in ["upload", "parse", "queue", "seeds", "patches", "units", "resample"] {
+            assert!(timing.contains(&format!("{stage};dur=")), "{timing}");
+        }
+    }
+}
+
+#[test]
+fn what_was_done_to_the_input_is_told() {
+    let server = Server::start(&Scripted::new(), Config::default());
+    let mut body = String::from(
+        "ply\nformat ascii 1.0\nelement vertex 102\nproperty float x\nproperty float y\n\
+         property float z\nproperty uchar red\nend_header\n",
+    );
+    let mut points = cloud(100);
+    points.extend([points[0], [f64::NAN, 0.0, 0.0]]);
+    for [x, y, z] in points {
+        body += &format!("{x} {y} {z} 255\n");
+    }
+    let reply = server.post("/upsample?ratio=2", body.as_bytes());
+    assert_eq!(reply.status, 200, "{}", reply.text());
+    let warnings: Vec<_> = reply
+        .headers
+        .iter()
+        .filter(|(name, _)| name == "densecloud-warning")
+        .map(|(_, w)| w.as_str())
+        .collect();
+    assert_eq!(warnings.len(), 3, "{warnings:?}");
+    assert!(warnings[0].contains("red") && warnings[1].contains("NaN") && warnings[2].contains("coincide"));
+    assert_eq!(reply.header("densecloud-points-in"), Some("102"));
+    assert_eq!(reply.header("densecloud-points-out"), Some("202"), "twice the finite points");
+}
+
+#[test]
+fn a_body_without_a_length_is_taken_in_pieces() {
+    let server = Server::start(&Scripted::new(), Config::default());
+    let body = encode(&cloud(100), PLY);
+    let mut client = server.connect();
+    client.send(b"POST /upsample?ratio=2 HTTP/1.1\r\nhost: x\r\nconnection: close\r\n");
+    client.send(b"transfer-encoding: chunked\r\n\r\n");
+    for piece in body.chunks(37) {
+        client.send(format!("{:x}\r\n", piece.len()).as_bytes());
+        client.send(piece);
+        client.send(b"\r\n");
+    }
+    client.send(b"0\r\n\r\n");
+    let reply = client.reply();
+    assert!(reply.body == encode(&dense(cloud(100), Target::Ratio(2.0), 0), PLY), "{}", reply.status);
+}
+
+#[test]
+fn one_connection_serves_one_request_after_another() {
+    let server = Server::start(&Scripted::new(), Config::default());
+    let mut client = server.connect();
+    let body = encode(&cloud(100), PLY);
+    let expected = encode(&dense(cloud(100), Target::Ratio(2.0), 0), PLY);
+    for _ in 0..3 {
+        let head =
+            format!("POST /upsample?ratio=2 HTTP/1.1\r\nhost: x\r\ncontent-length: {}\r\n\r\n", body.len());
+        client.send(head.as_bytes());
+        client.send(&body);
+        let mut bytes = Vec::new();
+        let reply = loop {
+            bytes.extend(client.some());
+            if let Some(reply) = Reply::parse(&bytes) {
+                break reply;
+            }
+        };
+        assert!(reply.body == expected);
+    }
+}
+
+#[test]
+fn a_requests_id_comes_back_and_is_made_where_there_is_none() {
+    let server = Server::start(&Scripted::new(), Config::default());
+    let mut client = server.connect();
+    client.send(b"GET /nowhere HTTP/1.1\r\nhost: x\r\nconnection: close\r\nx-request-id: mine-7\r\n\r\n");
+    let reply = client.reply();
+    assert_eq!(reply.header("x-request-id"), Some("mine-7"));
+    assert_eq!(reply.problem()["request_id"], "mine-7");
+    let made = |reply: Reply| reply.header("x-request-id").expect("an id").to_owned();
+    assert_ne!(made(server.get("/healthz")), made(server.get("/healthz")));
+}
+
+#[test]
+fn metrics_tell_what_happened() {
+    let model = ModelInfo { name: "m".into(), sha256: "ab".into(), provider: "cpu".into() };
+    let server = Server::start(&Scripted::new(), Config { model, ..Config::default() });
+    server.post("/upsample?ratio=4", &encode(&cloud(100), PLY));
+    server.post("/upsample?ratio=99", &encode(&cloud(100), PLY));
+    // The last byte is sent before the record is closed.
+    let ok = "densecloud_requests_total{interface=\"http\",outcome=\"ok\"}";
+    crate::support::wait_until("both are counted", || {
+        server.metric(ok) == 1.0
+            && server.metric("densecloud_request_duration_seconds_count{interface=\"http\"}") == 2.0
+    });
+    let page = server.get("/metrics");
+    assert_eq!(page.header("content-type"), Some("text/plain; version=0.0.4; charset=utf-8"));
+    for (line, value) in [
+        ("densecloud_requests_total{interface=\"http\",outcome=\"invalid-parameter\"}", 1.0),
+        ("densecloud_stage_duration_seconds_count{stage=\"units\"}", 1.0),
+        ("densecloud_stage_duration_seconds_count{stage=\"upload\"}", 1.0),
+        ("densecloud_points_in_total", 100.0),
+        ("densecloud_points_out_total", 400.0),
+        ("densecloud_queue_points", 0.0),
+        ("densecloud_held_bytes", 0.0),
+        ("densecloud_requests_in_flight", 0.0),
+        ("densecloud_model_info{model=\"m\",sha256=\"ab\",provider=\"cpu\"}", 1.0),
+    ] {
+        assert!(page.text().contains(line), "{line} in\n{}", page.text());
+        assert_eq!(server.metric(line), value, "{line}");
+    }
+}

@@ -1,0 +1,133 @@
+//! Clients that stall, leave, or never say what they want.
+
+use std::time::Duration;
+
+use densecloud::backend::Fake;
+use densecloud::formats::Format;
+use densecloud::server::Config;
+
+use crate::support::{Client, PLY, Reply, Scripted, Server, cloud, encode, wait_until};
+
+/// Impatient, so that tests are quick.
+fn impatient() -> Config {
+    let mut config = Config::default();
+    config.timeouts.head = Duration::from_millis(200);
+    config.timeouts.stall = Duration::from_millis(400);
+    config
+}
+
+#[test]
+fn a_connection_without_a_whole_head_is_closed() {
+    let server = Server::start(&Scripted::new(), impatient());
+    for start in [
+        &b""[..],
+        b"P",
+        b"POST /upsample?ratio=4 HTTP/1.1\r\nhost: x\r\n",
+        // Half, and all, of what HTTP/2 begins with: there hyper has no timer.
+        b"PRI * HTTP/2.0\r\n",
+        b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n",
+    ] {
+        let mut client = server.connect();
+        client.send(start);
+        // Ends, with whatever the server had to say, instead of running into the read's timeout.
+        client.rest();
+    }
+    let mut client = server.connect();
+    client.send(b"GET /healthz HTTP/1.1\r\nhost: x\r\n\r\n");
+    assert!(Reply::parse(&client.rest()).is_some(), "answered, kept open a while, then closed");
+}
+
+#[test]
+fn an_upload_that_stands_still_is_given_up() {
+    let server = Server::start(&Scripted::new(), impatient());
+    let mut client = server.connect();
+    client.send(b"POST /upsample?ratio=4 HTTP/1.1\r\nhost: x\r\ncontent-length: 1000\r\n\r\n1 2 3\n");
+    let reply = client.reply();
+    assert_eq!((reply.status, reply.problem_name().as_str()), (408, "upload-stalled"));
+    assert_eq!(reply.problem()["setting"], "--stall-timeout");
+}
+
+#[test]
+fn a_client_that_leaves_in_the_middle_of_its_upload_is_forgotten() {
+    let server = Server::start(&Scripted::new(), Config::default());
+    let mut client = server.connect();
+    client.send(b"POST /upsample?ratio=4 HTTP/1.1\r\nhost: x\r\ncontent-length: 1000\r\n\r\n1 2 3\n");
+    wait_until("the upload is held", || server.metric("densecloud_held_bytes") == 6.0);
+    drop(client);
+    wait_until("it is forgotten", || {
+        server.metric("densecloud_held_bytes") == 0.0 && server.metric("densecloud_requests_in_flight") == 0.0
+    });
+}
+
+#[test]
+fn a_client_that_leaves_stops_the_work() {
+    let backend = Scripted::over(Fake::slow(Duration::from_millis(20)));
+    let server = Server::start(&backend, Config::default());
+    let body = encode(&cloud(1000), PLY);
+    // How much work it would have been: a level of n points is 3 n / 32 patches.
+    let patches: usize = [1000, 2000, 4000, 8000].iter().map(|n| 3 * n / 32).sum();
+    let before = backend.batches();
+    let mut client = server.connect();
+    client.send_post("/upsample?ratio=16", &body);
+    wait_until("it is being worked on", || backend.batches() > before);
+    drop(client);
+    server.wait_for_no_work();
+    let done = backend.batches() - before;
+    assert!(done < patches / 16, "{done} batches were run of at least {}", patches / 16);
+    let cancelled = "densecloud_requests_total{interface=\"http\",outcome=\"cancelled\"}";
+    wait_until("it is counted", || server.metric(cancelled) == 1.0);
+    assert_eq!(server.metric("densecloud_held_bytes"), 0.0);
+}
+
+/// A client with a small window, so that a result of some megabytes does not fit between.
+fn narrow(server: &Server) -> Client {
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+    let stream = runtime.block_on(async {
+        let socket = tokio::net::TcpSocket::new_v4().unwrap();
+        socket.set_recv_buffer_size(4096).unwrap();
+        socket.connect(server.address).await.unwrap().into_std().unwrap()
+    });
+    stream.set_nonblocking(false).unwrap();
+    Client::of(stream)
+}
+
+/// 128,000 points as text: some 7 MB, more than the system buffers.
+const LARGE: &str = "/upsample?ratio=64";
+
+fn large() -> Vec<u8> {
+    encode(&cloud(2000), Format::Xyz)
+}
+
+#[test]
+fn a_slow_reader_holds_nothing_but_its_result() {
+    let mut config = Config::default();
+    // Until the end of the test.
+    config.timeouts.stall = Duration::from_secs(600);
+    let server = Server::start(&Scripted::new(), config);
+    let mut slow = narrow(&server);
+    slow.send_post(LARGE, &large());
+    let start = slow.some();
+    assert!(start.starts_with(b"HTTP/1.1 200"));
+    assert_eq!(server.engine.queued_points(), 0, "the engine is done with it");
+    assert_eq!(server.metric("densecloud_held_bytes"), 128_000.0 * 24.0);
+    let other = server.post("/upsample?ratio=2", &encode(&cloud(100), PLY));
+    assert_eq!(other.status, 200, "others are served meanwhile");
+    let whole = [start, slow.rest()].concat();
+    let reply = Reply::parse(&whole).expect("a whole response");
+    assert_eq!(reply.text().lines().count(), 128_000);
+    wait_until("it is given back", || server.metric("densecloud_held_bytes") == 0.0);
+}
+
+#[test]
+fn a_reader_that_stops_reading_is_cut_off() {
+    let server = Server::start(&Scripted::new(), impatient());
+    let mut stalled = narrow(&server);
+    stalled.send_post(LARGE, &large());
+    let start = stalled.some();
+    assert!(start.starts_with(b"HTTP/1.1 200"));
+    wait_until("its memory is given back", || server.metric("densecloud_held_bytes") == 0.0);
+    let whole = [start, stalled.rest()].concat();
+    assert_eq!(Reply::parse(&whole), None, "the response must not look complete");
+    let cancelled = "densecloud_requests_total{interface=\"http\",outcome=\"cancelled\"}";
+    assert_eq!(server.metric(cancelled), 1.0);
+}
