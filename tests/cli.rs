@@ -157,3 +157,74 @@ fn a_missing_runtime_is_told_with_what_to_do() {
     assert_eq!(output.status.code(), Some(1));
     assert!(stderr(&output).contains("set ORT_DYLIB_PATH"), "{}", stderr(&output));
 }
+
+/// A folder of meshes with a cube, and sparse and dense samples of it beside that.
+fn benchmark(folder: &Path) -> [String; 3] {
+    let [meshes, inputs, references] =
+        ["meshes", "inputs", "references"].map(|name| text(&folder.join(name)).to_owned());
+    for name in [&meshes, &inputs, &references] {
+        std::fs::create_dir(name).expect("a folder");
+    }
+    let mesh = format!("{meshes}/cube.off");
+    let cube = "OFF 8 6 0\n0 0 0\n1 0 0\n1 1 0\n0 1 0\n0 0 1\n1 0 1\n1 1 1\n0 1 1\n4 0 3 2 1\n4 4 5 6 7\n\
+                4 0 1 5 4\n4 1 2 6 5\n4 2 3 7 6\n4 3 0 4 7\n";
+    std::fs::write(&mesh, cube).expect("a mesh");
+    ok(&["sample", &mesh, &format!("{inputs}/cube.xyz"), "--points", "300"]);
+    ok(&["sample", &mesh, &format!("{references}/cube.ply"), "--points", "600"]);
+    [meshes, inputs, references]
+}
+
+#[test]
+fn evaluate_scores_the_cascade_beside_its_controls() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let [meshes, inputs, references] = benchmark(folder.path());
+    let report = folder.path().join("report.json");
+    let common = ["--input", &inputs, "--reference", &references, "--mesh", &meshes, "--controls"];
+    let made = ok(&[&["evaluate", "--ratio", "2", "--json", text(&report)], &common[..]].concat());
+    let tables = String::from_utf8_lossy(&made.stdout).into_owned();
+    assert_eq!(tables.lines().filter(|l| l.starts_with("mean of 1")).count(), 8, "{tables}");
+
+    let json: serde_json::Value =
+        serde_json::from_slice(&std::fs::read(&report).expect("a report")).expect("JSON");
+    let row = |method: &str| {
+        let rows = json["rows"].as_array().expect("rows");
+        rows.iter().find(|r| r["method"] == method).unwrap_or_else(|| panic!("no {method} in {json}")).clone()
+    };
+    for method in ["prediction", "floor", "repeat", "midpoints"] {
+        assert_eq!(row(method)["points"], 600);
+    }
+    // What is known of any benchmark: another sample of the surface is on it and beats repetition.
+    let score = |method: &str, name: &str| row(method)["published"][name].as_f64().expect("a number");
+    assert!(score("floor", "point_to_face") < 1e-9 && score("repeat", "point_to_face") < 1e-9);
+    assert!(score("floor", "chamfer") > 0.0);
+    assert!(score("floor", "chamfer") < score("repeat", "chamfer"));
+    // Infinite: nothing is less uniform than duplicates.
+    assert!(row("repeat")["corrected"]["spacing_variation"].is_null());
+
+    // The same clouds read from files score the same.
+    let dense = text(&folder.path().join("cube.ply")).to_owned();
+    ok(&["upsample", &format!("{inputs}/cube.xyz"), &dense, "--ratio", "2"]);
+    let read =
+        ok(&["evaluate", "--pred", &dense, "--reference", &references, "--mesh", &meshes, "--json", "-"]);
+    let read: serde_json::Value = serde_json::from_slice(&read.stdout).expect("JSON");
+    assert_eq!(read["rows"][0]["published"], row("prediction")["published"]);
+}
+
+#[test]
+fn evaluate_says_what_is_missing() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let [meshes, inputs, references] = benchmark(folder.path());
+    for (arguments, code, words) in [
+        (vec!["--reference", &references], 64, "--pred"),
+        (vec!["--pred", &inputs, "--reference", &references, "--controls"], 64, "--mesh"),
+        (vec!["--pred", &inputs, "--reference", &references, "--ratio", "4"], 64, "--ratio"),
+        (vec!["--input", &inputs, "--reference", &references, "--ratio", "65"], 64, "65"),
+        (vec!["--pred", &inputs, "--reference", &references, "--tolerance", "0"], 64, "--tolerance"),
+        (vec!["--pred", &inputs, "--reference", &references, "--shapes", "cow"], 1, "`cow`"),
+        (vec!["--pred", &meshes, "--reference", &references], 1, "no clouds"),
+    ] {
+        let output = run(&[&["evaluate"], &arguments[..]].concat());
+        assert_eq!(output.status.code(), Some(code), "{arguments:?}: {}", stderr(&output));
+        assert!(stderr(&output).contains(words), "{arguments:?}: {}", stderr(&output));
+    }
+}

@@ -4,6 +4,7 @@
 
 mod engine_args;
 mod error;
+mod evaluate;
 mod files;
 mod render;
 mod sample;
@@ -29,6 +30,7 @@ enum Command {
     Render(render::RenderArgs),
     Sample(sample::SampleArgs),
     Upsample(upsample::UpsampleArgs),
+    Evaluate(evaluate::EvaluateArgs),
     Serve(serve::ServeArgs),
 }
 
@@ -56,6 +58,7 @@ fn run(command: Command) -> Result<(), CliError> {
         Command::Render(args) => render::run(&args),
         Command::Sample(args) => sample::run(&args),
         Command::Upsample(args) => upsample::run(&args),
+        Command::Evaluate(args) => evaluate::run(&args),
         Command::Serve(args) => serve::run(&args),
     }
 }
