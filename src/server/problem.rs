@@ -289,7 +289,10 @@ impl Problem {
             request_id,
         };
         // Strings and numbers only: there is nothing that JSON could not hold.
-        Body::from(serde_json::to_vec(&document).unwrap_or_default())
+        let mut text = serde_json::to_vec(&document).unwrap_or_default();
+        // For people at a terminal.
+        text.push(b'\n');
+        Body::from(text)
     }
 }
 
