@@ -386,6 +386,17 @@ mod tests {
         }
     }
 
+    #[test]
+    fn the_manual_has_the_same_table() {
+        let manual = include_str!("../../docs/http.md");
+        for (problem, status, name) in all() {
+            let row = manual.lines().find(|line| line.starts_with(&format!("| {status} | `{name}` |")));
+            let row = row.unwrap_or_else(|| panic!("no row for {status} {name}"));
+            let setting = problem.row().setting.map_or("| |".into(), |setting| format!("| `{setting}` |"));
+            assert!(row.ends_with(&setting), "{row}");
+        }
+    }
+
     #[tokio::test]
     async fn a_limit_is_told_with_its_number_and_the_setting_that_lifts_it() {
         for (problem, _, name) in all() {
