@@ -269,6 +269,22 @@ mod tests {
     }
 
     #[test]
+    fn the_manual_has_every_limit_with_its_default() {
+        use clap::CommandFactory;
+        let manual = include_str!("../../docs/http.md");
+        let mut limits = 0;
+        for argument in Line::command().get_arguments() {
+            let Some(flag) = argument.get_long() else { continue };
+            if flag.starts_with("max-") || flag.ends_with("-timeout") || flag == "queue-points" {
+                let default = argument.get_default_values()[0].to_string_lossy();
+                assert!(manual.contains(&format!("| `--{flag}` | {default} |")), "--{flag} {default}");
+                limits += 1;
+            }
+        }
+        assert_eq!(limits, 10);
+    }
+
+    #[test]
     fn a_duration_must_be_one() {
         for bad in ["-1", "x", "", "nan", "inf", "1e30"] {
             assert!(seconds(bad).is_err(), "{bad}");

@@ -178,6 +178,21 @@ mod tests {
     }
 
     #[test]
+    fn the_manual_names_every_series() {
+        let manual = include_str!("../../docs/http.md");
+        let metrics = Metrics::new(&ModelInfo::default()).expect("metrics");
+        metrics.ended("ok", Duration::ZERO);
+        metrics.stage("units", Duration::ZERO);
+        let page = metrics.render(0, 0);
+        let names: Vec<_> =
+            page.lines().filter_map(|line| line.strip_prefix("# TYPE ")?.split(' ').next()).collect();
+        assert_eq!(names.len(), 9, "{names:?}");
+        for name in names {
+            assert!(manual.contains(&format!("`{name}`")), "{name} is not in the manual");
+        }
+    }
+
+    #[test]
     fn two_servers_do_not_mix_their_figures() {
         let one = Metrics::new(&ModelInfo::default()).expect("metrics");
         let other = Metrics::new(&ModelInfo::default()).expect("metrics");

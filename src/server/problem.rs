@@ -289,7 +289,10 @@ impl Problem {
             request_id,
         };
         // Strings and numbers only: there is nothing that JSON could not hold.
-        Body::from(serde_json::to_vec(&document).unwrap_or_default())
+        let mut text = serde_json::to_vec(&document).unwrap_or_default();
+        // For people at a terminal.
+        text.push(b'\n');
+        Body::from(text)
     }
 }
 
@@ -380,6 +383,17 @@ mod tests {
             assert_eq!(response.status().as_u16(), status);
             assert_eq!(response.headers()["content-type"], "application/problem+json");
             assert_eq!(response.headers().contains_key("retry-after"), status == 503);
+        }
+    }
+
+    #[test]
+    fn the_manual_has_the_same_table() {
+        let manual = include_str!("../../docs/http.md");
+        for (problem, status, name) in all() {
+            let row = manual.lines().find(|line| line.starts_with(&format!("| {status} | `{name}` |")));
+            let row = row.unwrap_or_else(|| panic!("no row for {status} {name}"));
+            let setting = problem.row().setting.map_or("| |".into(), |setting| format!("| `{setting}` |"));
+            assert!(row.ends_with(&setting), "{row}");
         }
     }
 

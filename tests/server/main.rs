@@ -1,5 +1,7 @@
 //! The whole server over real sockets, each test with its own on a port that the system chooses.
 
+#![allow(clippy::unwrap_used, reason = "in a test, a panic is how a failure is told")]
+
 mod answers;
 mod lifecycle;
 mod misbehaviour;

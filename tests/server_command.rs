@@ -1,0 +1,157 @@
+//! `densecloud serve` as a person runs it, with the model inside it and a client from elsewhere.
+
+use std::io::{BufRead, BufReader};
+use std::process::{Child, Command, Output, Stdio};
+use std::sync::mpsc::{Receiver, channel};
+use std::time::Duration;
+
+/// Longer than anything here takes.
+const PATIENCE: Duration = Duration::from_secs(120);
+
+fn densecloud() -> Command {
+    Command::new(env!("CARGO_BIN_EXE_densecloud"))
+}
+
+fn run(arguments: &[&str]) -> Output {
+    densecloud().args(arguments).output().expect("the program starts")
+}
+
+/// The program in the background, ended with the test.
+struct Serving {
+    child: Child,
+    log: Receiver<serde_json::Value>,
+    address: String,
+}
+
+impl Serving {
+    /// Starts it on a port that the system chooses, and waits until it is ready.
+    fn start() -> Self {
+        let mut child = densecloud()
+            .args(["serve", "--port", "0", "--log-format", "json", "--threads", "1"])
+            .stderr(Stdio::piped())
+            .spawn()
+            .expect("the program starts");
+        let lines = BufReader::new(child.stderr.take().expect("piped")).lines();
+        let (sender, log) = channel();
+        std::thread::spawn(move || {
+            for line in lines.map_while(Result::ok) {
+                let event = serde_json::from_str(&line).unwrap_or_else(|e| panic!("{e}: {line}"));
+                // A test that is over reads no more.
+                let _ = sender.send(event);
+            }
+        });
+        let mut serving = Self { child, log, address: String::new() };
+        let listening = serving.wait_for("listening");
+        serving.address = listening["address"].as_str().expect("an address").to_owned();
+        serving.wait_for("ready");
+        serving
+    }
+
+    /// The fields of the next event with this message.
+    fn wait_for(&self, message: &str) -> serde_json::Value {
+        loop {
+            let event = self.log.recv_timeout(PATIENCE).unwrap_or_else(|e| panic!("no {message:?}: {e}"));
+            if event["fields"]["message"] == message {
+                return event["fields"].clone();
+            }
+        }
+    }
+
+    fn url(&self, target: &str) -> String {
+        format!("http://{}{target}", self.address)
+    }
+
+    /// The standard library cannot send a signal.
+    fn signal(&self, name: &str) {
+        let sent = Command::new("kill").args(["-s", name, &self.child.id().to_string()]).status();
+        assert!(sent.expect("kill is there").success());
+    }
+}
+
+impl Drop for Serving {
+    fn drop(&mut self) {
+        // Mostly it has ended already.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+fn text(points: usize) -> String {
+    let point = |i: usize| {
+        let z = 1.0 - (2 * i + 1) as f64 / points as f64;
+        let (r, angle) = ((1.0 - z * z).sqrt(), i as f64 * 2.399_963);
+        format!("{:.6} {:.6} {z:.6}\n", 500_000.0 + r * angle.cos(), r * angle.sin())
+    };
+    (0..points).map(point).collect()
+}
+
+#[test]
+fn the_server_gives_the_command_lines_bytes_and_stops_when_told() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = |name: &str| folder.path().join(name).to_str().expect("UTF-8").to_owned();
+    std::fs::write(path("in.xyz"), text(300)).expect("a file");
+    let mut serving = Serving::start();
+    // First text, then the binary PLY that the command line makes of it.
+    for (input, output, ratio) in [("in.xyz", "dense.xyz", "3.7"), ("dense.ply", "denser.ply", "2")] {
+        if input == "dense.ply" {
+            let made = run(&["upsample", &path("in.xyz"), &path(input), "--ratio", "1.5"]);
+            assert!(made.status.success(), "{made:?}");
+        }
+        let made = run(&["upsample", &path(input), &path(output), "--ratio", ratio, "--seed", "5"]);
+        assert!(made.status.success(), "{made:?}");
+        let body = std::fs::read(path(input)).expect("a file");
+        let mut reply = ureq::post(serving.url(&format!("/upsample?ratio={ratio}&seed=5")))
+            .send(&body[..])
+            .expect("an answer");
+        let served = reply.body_mut().read_to_vec().expect("a body");
+        assert!(served == std::fs::read(path(output)).expect("a file"), "{input} at {ratio}");
+    }
+    serving.signal("TERM");
+    assert_eq!(serving.child.wait().expect("an end").code(), Some(0));
+}
+
+#[test]
+fn a_second_signal_ends_it_at_once() {
+    let mut serving = Serving::start();
+    let url = serving.url("/upsample?ratio=64");
+    // Minutes of work for one thread.
+    let client = std::thread::spawn(move || ureq::post(url).send(text(5000).as_bytes()).is_err());
+    let metrics = serving.url("/metrics");
+    let busy = || {
+        let page = ureq::get(&metrics).call().expect("a page").body_mut().read_to_string().expect("text");
+        page.lines().any(|line| line == "densecloud_queue_points 320000")
+    };
+    while !busy() {
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    serving.signal("TERM");
+    serving.wait_for("draining");
+    serving.signal("INT");
+    assert_eq!(serving.child.wait().expect("an end").code(), Some(130));
+    assert!(client.join().expect("no panic"), "the request was not answered");
+}
+
+#[test]
+fn settings_are_checked_before_a_port_is_bound() {
+    for (arguments, named) in [
+        (&["serve", "--max-points-in", "0"][..], "--max-points-in"),
+        (&["serve", "--max-held-bytes", "5"], "--max-held-bytes"),
+        (&["serve", "--log", "=loud="], "--log"),
+        (&["serve", "--stall-timeout", "soon"], "--stall-timeout"),
+    ] {
+        let output = run(arguments);
+        let stderr = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(64), "{stderr}");
+        assert!(stderr.contains(named), "{stderr}");
+    }
+}
+
+#[test]
+fn a_port_that_is_taken_is_named() {
+    let taken = std::net::TcpListener::bind("127.0.0.1:0").expect("a port");
+    let port = taken.local_addr().expect("an address").port().to_string();
+    let output = run(&["serve", "--port", &port]);
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{stderr}");
+    assert!(stderr.contains(&port) && stderr.contains("--port"), "{stderr}");
+}
