@@ -27,8 +27,11 @@ fn main() {
     let mut seconds = Vec::new();
     let mut stages: Vec<StageTimes> = Vec::new();
     for _ in 0..=runs {
-        let request =
-            Request { positions: positions.clone(), target: Target::Ratio(ratio), settings: Settings::default() };
+        let request = Request {
+            positions: positions.clone(),
+            target: Target::Ratio(ratio),
+            settings: Settings::default(),
+        };
         let start = Instant::now();
         let outcome = engine.submit(request).expect("admitted").wait().expect("a dense cloud");
         seconds.push(start.elapsed().as_secs_f64());

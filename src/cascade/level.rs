@@ -54,13 +54,12 @@ impl Level {
         // follow.
         let mut random = Rng::new(settings.seed.wrapping_add((self.number as u64) << 32));
         let patch_size = workers.shape().patch_size;
-        let patches =
-            Patches::cover(&self.points, patch_size, settings.overlap, &mut random, self.number, observer)?;
+        let patches = Patches::cover(&self.points, patch_size, settings, &mut random, self.number, observer)?;
         let skip = self.previous.as_ref().map(|previous| SkipNeighbours::find(previous, &self.points));
 
         observer.begin(self.number, Stage::Units);
         let (merged, features) = self.run_units(&patches, skip.as_ref(), workers, observer)?;
-        let previous = (!self.last).then(|| Previous { points: self.points, features, rows: patches.rows });
+        let previous = (!self.last).then_some(Previous { points: self.points, features, rows: patches.rows });
 
         observer.begin(self.number, Stage::Resample);
         if observer.cancelled() {
@@ -71,8 +70,8 @@ impl Level {
         Ok((kept.iter().map(|&i| merged[i as usize]).collect(), previous))
     }
 
-    /// Runs every patch, each into its own part of the merged cloud `[H * 2N]` and of the feature
-    /// table `[n, C]` (empty at the last level).
+    /// Runs every patch, each into its own part of the merged cloud (two points for each one that
+    /// [`Patches::kept`] names) and of the feature table `[n, C]` (empty at the last level).
     fn run_units(
         &self,
         patches: &Patches,
@@ -81,16 +80,18 @@ impl Level {
         observer: &dyn Observer,
     ) -> Result<(Vec<Point>, Vec<f32>), CascadeError> {
         let channels = if self.last { 0 } else { workers.shape().channels };
-        let mut merged = vec![[0.0; 3]; patches.len() * 2 * patches.size];
+        let kept: usize = (0..patches.len()).map(|p| patches.kept(p).count()).sum();
+        let mut merged = vec![[0.0; 3]; 2 * kept];
         let mut features = vec![0.0; self.points.len() * channels];
 
         let mut tasks = Vec::with_capacity(patches.len());
-        let mut rest = &mut features[..];
-        for (p, dense) in merged.chunks_exact_mut(2 * patches.size).enumerate() {
-            let rows = patches.row_starts[p + 1] - patches.row_starts[p];
-            let (mine, others) = rest.split_at_mut(rows * channels);
-            rest = others;
-            tasks.push(PatchTask { patch: p, dense, features: mine });
+        let (mut points, mut rows) = (&mut merged[..], &mut features[..]);
+        for patch in 0..patches.len() {
+            let owned = patches.row_starts[patch + 1] - patches.row_starts[patch];
+            let (dense, features);
+            (dense, points) = points.split_at_mut(2 * patches.kept(patch).count());
+            (features, rows) = rows.split_at_mut(owned * channels);
+            tasks.push(PatchTask { patch, dense, features });
         }
         let (done, total) = (AtomicUsize::new(0), tasks.len());
         tasks.into_par_iter().try_for_each(|task| {
@@ -137,8 +138,11 @@ impl Level {
         };
         worker.session.run(self.unit, &batch, &mut worker.output)?;
 
-        for (point, made) in task.dense.iter_mut().zip(worker.output.dense.chunks_exact(3)) {
-            *point = sphere.restore([made[0], made[1], made[2]]);
+        for (pair, place) in task.dense.chunks_exact_mut(2).zip(patches.kept(task.patch)) {
+            for (copy, point) in pair.iter_mut().enumerate() {
+                let made = &worker.output.dense[(copy * members.len() + place) * 3..][..3];
+                *point = sphere.restore([made[0], made[1], made[2]]);
+            }
         }
         if !self.last {
             let channels = worker.output.features.len() / members.len();
@@ -153,7 +157,7 @@ impl Level {
 /// One patch's share of the level's output.
 struct PatchTask<'a> {
     patch: usize,
-    /// `[2N]` points of the merged cloud.
+    /// Its points of the merged cloud, two for each place kept.
     dense: &'a mut [Point],
     /// Rows of the points that the patch owns.
     features: &'a mut [f32],

@@ -39,13 +39,17 @@ pub struct Settings {
     /// How many patches a point lies in on average (the paper uses 3). At least 1; cost grows in
     /// proportion.
     pub overlap: f64,
+    /// Share of each patch, around its seed, whose outputs are merged, 0 to 1. Towards the border
+    /// of a patch the unit sees neighbours on one side only, and farthest point sampling would
+    /// prefer the strays it makes there.
+    pub inner: f64,
     /// Chooses where farthest point sampling starts, hence which of many equally good results.
     pub seed: u64,
 }
 
 impl Default for Settings {
     fn default() -> Self {
-        Self { overlap: 3.0, seed: 0 }
+        Self { overlap: 3.0, inner: 0.5, seed: 0 }
     }
 }
 
@@ -105,6 +109,9 @@ pub enum CascadeError {
         /// Finite points.
         total: usize,
     },
+    /// An inner share outside 0 to 1.
+    #[error("inner share {0} is outside 0 to 1")]
+    Inner(f64),
     /// No local frame fits.
     #[error("{0}")]
     Frame(#[from] FrameError),
@@ -133,6 +140,9 @@ pub fn upsample(
 ) -> Result<Upsampled, CascadeError> {
     if !(1.0..=100.0).contains(&settings.overlap) {
         return Err(CascadeError::Overlap(settings.overlap));
+    }
+    if !(0.0..=1.0).contains(&settings.inner) {
+        return Err(CascadeError::Inner(settings.inner));
     }
     let shape = workers.shape();
     let input = Input::prepare(positions)?;

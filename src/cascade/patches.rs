@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use super::{CascadeError, Observer, Stage};
+use super::{CascadeError, Observer, Settings, Stage};
 use crate::cloud::Point;
 use crate::geometry::{KdTree, Neighbour, Rng, farthest_point_sampling};
 
@@ -12,6 +12,8 @@ pub(super) struct Patches {
     pub(super) size: usize,
     /// `[H, size]` point indices, nearest to the seed first.
     pub(super) members: Vec<u32>,
+    /// Places before this one are kept in every patch: see [`Patches::kept`].
+    inner: usize,
     /// For each patch, the range of rows that its own points have in the feature table.
     pub(super) row_starts: Vec<usize>,
     /// For each point its row in the feature table. Rows of one owner follow each other, so that
@@ -28,7 +30,7 @@ impl Patches {
     pub(super) fn cover(
         points: &[Point],
         patch_size: usize,
-        overlap: f64,
+        settings: &Settings,
         random: &mut Rng,
         level: usize,
         observer: &dyn Observer,
@@ -39,7 +41,7 @@ impl Patches {
             // More would be the same patch over again.
             vec![0]
         } else {
-            let count = (overlap * points.len() as f64 / patch_size as f64).ceil() as usize;
+            let count = (settings.overlap * points.len() as f64 / patch_size as f64).ceil() as usize;
             let first = random.below(points.len() as u64) as usize;
             farthest_point_sampling(points, count.clamp(1, points.len()), first)
         };
@@ -53,7 +55,8 @@ impl Patches {
             nearest(&tree, points[seed as usize], patch, found);
         });
         add_uncovered(points, &tree, size, &mut members);
-        Ok(Self::own(points.len(), size, members))
+        let inner = (settings.inner * size as f64).ceil() as usize;
+        Ok(Self::own(points.len(), size, inner, members))
     }
 
     /// How many there are.
@@ -72,9 +75,19 @@ impl Patches {
         members.filter(move |(_, i)| self.owners[**i as usize] == p as u32).map(|(place, _)| place)
     }
 
+    /// Places in patch `p` whose outputs are merged: the inner share nearest to the seed, where the
+    /// unit sees neighbours on all sides, and those that the patch owns, so that every point is
+    /// kept somewhere.
+    pub(super) fn kept(&self, p: usize) -> impl Iterator<Item = usize> {
+        let members = self.members(p).iter().enumerate();
+        members
+            .filter(move |(place, i)| *place < self.inner || self.owners[**i as usize] == p as u32)
+            .map(|(place, _)| place)
+    }
+
     /// A point belongs to the patch in which it lies most central: the one whose seed has it as the
     /// earliest neighbour, the first such patch where several do.
-    fn own(points: usize, size: usize, members: Vec<u32>) -> Self {
+    fn own(points: usize, size: usize, inner: usize, members: Vec<u32>) -> Self {
         let mut owners = vec![0; points];
         let mut places = vec![u32::MAX; points];
         for (patch, members) in members.chunks_exact(size).enumerate() {
@@ -97,7 +110,7 @@ impl Patches {
             }
             row_starts.push(next as usize);
         }
-        Self { size, members, row_starts, rows, owners }
+        Self { size, members, inner, row_starts, rows, owners }
     }
 }
 
@@ -143,7 +156,8 @@ mod tests {
     }
 
     fn cover(points: &[Point], overlap: f64) -> Patches {
-        Patches::cover(points, 32, overlap, &mut Rng::new(1), 0, &Silent).unwrap()
+        let settings = Settings { overlap, ..Settings::default() };
+        Patches::cover(points, 32, &settings, &mut Rng::new(1), 0, &Silent).unwrap()
     }
 
     #[test]
@@ -178,6 +192,24 @@ mod tests {
         for n in [9, 31, 32] {
             let patches = cover(&cloud(n), 3.0);
             assert_eq!((patches.len(), patches.size), (1, n as usize));
+        }
+    }
+
+    #[test]
+    fn what_is_kept_holds_every_point() {
+        let points = cloud(500);
+        for (inner, at_least) in [(0.0, 0), (0.5, 16), (1.0, 32)] {
+            let settings = Settings { inner, ..Settings::default() };
+            let patches = Patches::cover(&points, 32, &settings, &mut Rng::new(1), 0, &Silent).unwrap();
+            let mut seen = vec![false; points.len()];
+            for p in 0..patches.len() {
+                let kept: Vec<usize> = patches.kept(p).collect();
+                assert!(kept.iter().copied().take(at_least).eq(0..at_least), "the inner places are kept");
+                assert!(patches.owned(p).all(|place| kept.contains(&place)));
+                assert!(inner > 0.0 || patches.owned(p).eq(kept.iter().copied()), "nothing else is kept");
+                kept.iter().for_each(|&place| seen[patches.members(p)[place] as usize] = true);
+            }
+            assert!(seen.iter().all(|s| *s), "a point goes without, inner = {inner}");
         }
     }
 

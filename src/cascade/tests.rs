@@ -163,6 +163,11 @@ fn impossible_clouds_say_why() {
     let settings = Settings { overlap: 0.5, ..Settings::default() };
     let low = upsample(&sphere(50, 1), Target::Ratio(2.0), &settings, &workers(1), &Silent);
     assert!(matches!(low, Err(CascadeError::Overlap(_))));
+    for inner in [-0.1, 1.1, f64::NAN] {
+        let settings = Settings { inner, ..Settings::default() };
+        let refused = upsample(&sphere(50, 1), Target::Ratio(2.0), &settings, &workers(1), &Silent);
+        assert!(matches!(refused, Err(CascadeError::Inner(_))), "{inner}");
+    }
 }
 
 #[test]

@@ -68,6 +68,10 @@ pub(super) struct EvaluateArgs {
     #[arg(long, value_name = "X", default_value_t = cascade::Settings::default().overlap, conflicts_with = "pred")]
     overlap: f64,
 
+    /// Share of each patch, around its centre, whose points are kept: 1 keeps all
+    #[arg(long, value_name = "X", default_value_t = cascade::Settings::default().inner, conflicts_with = "pred")]
+    inner: f64,
+
     /// Write everything as JSON to a file; `-` for standard output, in place of the tables
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
@@ -122,7 +126,7 @@ pub(super) fn run(args: &EvaluateArgs) -> Result<(), CliError> {
     let meshes = matching(&mesh).map_err(failed)?;
     let inputs = matching(&input).map_err(failed)?;
 
-    let settings = cascade::Settings { overlap: args.overlap, seed: args.seed };
+    let settings = cascade::Settings { overlap: args.overlap, inner: args.inner, seed: args.seed };
     let cascade = match args.pred {
         None => Some(Cascade { engine: args.engine.engine()?, target, settings }),
         Some(_) => None,
@@ -131,7 +135,7 @@ pub(super) fn run(args: &EvaluateArgs) -> Result<(), CliError> {
         None => {
             let model = args.engine.model()?;
             let (model, model_sha256) = (model.card.name.clone(), model.sha256.clone());
-            Some(CascadeSettings { model, model_sha256, ratio, overlap: args.overlap })
+            Some(CascadeSettings { model, model_sha256, ratio, overlap: args.overlap, inner: args.inner })
         }
         Some(_) => None,
     };

@@ -1,21 +1,17 @@
 //! `densecloud upsample`: a file in, a denser file out.
 
-use std::fs::File;
-use std::io::{self, BufReader, BufWriter, IsTerminal, Write};
+use std::io::{self, IsTerminal};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use clap::{ArgGroup, Args};
 use indicatif::{ProgressBar, ProgressStyle};
 
-use super::CliError;
 use super::engine_args::EngineArgs;
+use super::{CliError, files};
 use crate::cascade::{Settings, Target};
-use crate::cloud::Cloud;
-use crate::engine::{Job, Outcome, ProgressHandle, Request};
-use crate::formats::{
-    CloudReader, CloudWriter, Format, FormatError, Header, Limits, Scalar, read_cloud_file,
-};
+use crate::engine::{EngineError, Job, Outcome, ProgressHandle, Request};
+use crate::formats::{Format, Scalar};
 
 /// Make a cloud denser.
 #[derive(Debug, Args)]
@@ -47,6 +43,10 @@ pub(super) struct UpsampleArgs {
     #[arg(long, value_name = "X", default_value_t = Settings::default().overlap)]
     overlap: f64,
 
+    /// Share of each patch, around its centre, whose points are kept: 1 keeps all
+    #[arg(long, value_name = "X", default_value_t = Settings::default().inner)]
+    inner: f64,
+
     /// Say nothing but errors
     #[arg(short, long)]
     quiet: bool,
@@ -65,7 +65,7 @@ pub(super) fn run(args: &UpsampleArgs) -> Result<(), CliError> {
         target.points_out(1).map_err(|e| CliError::Usage(e.to_string()))?;
     }
     let start = Instant::now();
-    let (cloud, header) = read(&args.input)?;
+    let (cloud, header) = files::read_cloud(&args.input)?;
     let format = output_format(&args.output, header.format);
     let note = |text: String| {
         if !args.quiet {
@@ -77,15 +77,15 @@ pub(super) fn run(args: &UpsampleArgs) -> Result<(), CliError> {
     }
 
     let points_in = cloud.positions.len();
-    let settings = Settings { overlap: args.overlap, seed: args.seed };
+    let settings = Settings { overlap: args.overlap, inner: args.inner, seed: args.seed };
     let engine = args.engine.engine()?;
-    let fail = |e: crate::engine::EngineError| CliError::file(&args.input, e);
+    let fail = |e: EngineError| CliError::file(&args.input, e);
     let job = engine.submit(Request { positions: cloud.positions, target, settings }).map_err(fail)?;
     let outcome = wait(job, args.quiet).map_err(fail)?;
     for warning in outcome.warnings() {
         note(format!("warning: {warning}"));
     }
-    write(&args.output, format, &outcome)?;
+    files::write_cloud(&args.output, format, &outcome.positions)?;
     note(format!(
         "{points_in} -> {} points in {:.1} s ({})",
         outcome.positions.len(),
@@ -93,18 +93,6 @@ pub(super) fn run(args: &UpsampleArgs) -> Result<(), CliError> {
         shares(&outcome),
     ));
     Ok(())
-}
-
-fn read(path: &Path) -> Result<(Cloud, Header), CliError> {
-    let read = if path == Path::new("-") {
-        CloudReader::open(BufReader::new(io::stdin().lock()), Limits::default()).and_then(|reader| {
-            let header = reader.header().clone();
-            Ok((reader.read()?, header))
-        })
-    } else {
-        read_cloud_file(path)
-    };
-    read.map_err(|e| CliError::file(path, e))
 }
 
 /// The kind that the output's extension names, else the input's; where both are the same kind, in
@@ -119,7 +107,7 @@ fn output_format(path: &Path, input: Format) -> Format {
 }
 
 /// Waits with a progress bar on standard error if that is a terminal.
-fn wait(job: Job, quiet: bool) -> Result<Outcome, crate::engine::EngineError> {
+fn wait(job: Job, quiet: bool) -> Result<Outcome, EngineError> {
     if quiet || !io::stderr().is_terminal() {
         return job.wait();
     }
@@ -134,7 +122,7 @@ fn wait(job: Job, quiet: bool) -> Result<Outcome, crate::engine::EngineError> {
         std::thread::sleep(Duration::from_millis(50));
     }
     bar.finish_and_clear();
-    waiter.join().unwrap_or_else(|_| Err(crate::engine::EngineError::Cancelled))
+    waiter.join().unwrap_or(Err(EngineError::Cancelled))
 }
 
 fn show(bar: &ProgressBar, handle: &ProgressHandle) {
@@ -143,31 +131,6 @@ fn show(bar: &ProgressBar, handle: &ProgressHandle) {
         bar.set_message(format!("level {} of {}: {}", progress.level, progress.levels, stage.name()));
     }
     bar.set_position((progress.fraction * 1000.0) as u64);
-}
-
-/// Writes beside the target and renames, so that no failure leaves half a file under its name.
-fn write(path: &Path, format: Format, outcome: &Outcome) -> Result<(), CliError> {
-    let fail = |e: FormatError| CliError::file(path, e);
-    if path == Path::new("-") {
-        return encode(BufWriter::new(io::stdout().lock()), format, outcome).map_err(fail);
-    }
-    let mut part = path.as_os_str().to_owned();
-    part.push(".part");
-    let part = PathBuf::from(part);
-    let file = File::create(&part).map_err(|e| CliError::file(path, e))?;
-    let written = encode(BufWriter::with_capacity(1 << 20, file), format, outcome)
-        .and_then(|()| Ok(std::fs::rename(&part, path)?));
-    written.map_err(|e| {
-        // The first error is the one to report.
-        let _ = std::fs::remove_file(&part);
-        fail(e)
-    })
-}
-
-fn encode(sink: impl Write, format: Format, outcome: &Outcome) -> Result<(), FormatError> {
-    let mut writer = CloudWriter::new(sink, format, outcome.positions.len() as u64)?;
-    writer.write(&outcome.positions)?;
-    Ok(writer.finish()?.flush()?)
 }
 
 fn shares(outcome: &Outcome) -> String {

@@ -47,6 +47,8 @@ pub struct CascadeSettings {
     pub ratio: f64,
     /// Patches that a point lies in, on average.
     pub overlap: f64,
+    /// Share of each patch that was merged.
+    pub inner: f64,
 }
 
 /// What was scored.
