@@ -6,7 +6,7 @@ use rayon::prelude::*;
 
 use super::patches::Patches;
 use super::{CascadeError, Observer, Settings, Stage};
-use crate::backend::{Batch, SKIP_NEIGHBOURS, SkipInput, Worker, Workers};
+use crate::backend::{BackendError, Batch, SKIP_NEIGHBOURS, SkipInput, Worker, Workers};
 use crate::cloud::Point;
 use crate::geometry::{KdTree, Rng, farthest_point_sampling};
 
@@ -59,6 +59,11 @@ impl Level {
 
         observer.begin(self.number, Stage::Units);
         let (merged, features) = self.run_units(&patches, skip.as_ref(), workers, observer)?;
+        let merged = without_strays(merged, size, settings.max_displacement as f32);
+        if merged.len() < size {
+            let why = "it made points that are not finite; the model is unusable".into();
+            return Err(BackendError::Run { unit: self.unit + 1, why }.into());
+        }
         let previous = (!self.last).then_some(Previous { points: self.points, features, rows: patches.rows });
 
         observer.begin(self.number, Stage::Resample);
@@ -78,10 +83,10 @@ impl Level {
         skip: Option<&SkipNeighbours>,
         workers: &Workers,
         observer: &dyn Observer,
-    ) -> Result<(Vec<Point>, Vec<f32>), CascadeError> {
+    ) -> Result<(Vec<Made>, Vec<f32>), CascadeError> {
         let channels = if self.last { 0 } else { workers.shape().channels };
         let kept: usize = (0..patches.len()).map(|p| patches.kept(p).count()).sum();
-        let mut merged = vec![[0.0; 3]; 2 * kept];
+        let mut merged = vec![Made::default(); 2 * kept];
         let mut features = vec![0.0; self.points.len() * channels];
 
         let mut tasks = Vec::with_capacity(patches.len());
@@ -141,7 +146,10 @@ impl Level {
         for (pair, place) in task.dense.chunks_exact_mut(2).zip(patches.kept(task.patch)) {
             for (copy, point) in pair.iter_mut().enumerate() {
                 let made = &worker.output.dense[(copy * members.len() + place) * 3..][..3];
-                *point = sphere.restore([made[0], made[1], made[2]]);
+                let at = sphere.restore([made[0], made[1], made[2]]);
+                let source = members[place] as usize;
+                let moved = (0..3).map(|a| (at[a] - self.points[source][a]).powi(2)).sum::<f32>().sqrt();
+                *point = Made { at, displacement: moved / patches.spacing[source] };
             }
         }
         if !self.last {
@@ -154,11 +162,31 @@ impl Level {
     }
 }
 
+/// A point that a unit made.
+#[derive(Debug, Clone, Copy, Default)]
+struct Made {
+    at: Point,
+    /// How far from the point it was made of, in that point's spacing.
+    displacement: f32,
+}
+
+/// What may be sampled: all points but those moved further than `limit`. Where that leaves fewer
+/// than `size`, the least moved of the others make up for it; only points that are not finite are
+/// never taken.
+fn without_strays(made: Vec<Made>, size: usize, limit: f32) -> Vec<Point> {
+    let mut limit = limit;
+    if made.iter().filter(|m| m.displacement <= limit).count() < size {
+        let mut moved: Vec<f32> = made.iter().map(|m| m.displacement).collect();
+        limit = moved.select_nth_unstable_by(size - 1, f32::total_cmp).1.min(f32::MAX);
+    }
+    made.iter().filter(|m| m.displacement <= limit).map(|m| m.at).collect()
+}
+
 /// One patch's share of the level's output.
 struct PatchTask<'a> {
     patch: usize,
     /// Its points of the merged cloud, two for each place kept.
-    dense: &'a mut [Point],
+    dense: &'a mut [Made],
     /// Rows of the points that the patch owns.
     features: &'a mut [f32],
 }
@@ -211,5 +239,25 @@ impl Sphere {
 
     fn restore(&self, p: Point) -> Point {
         std::array::from_fn(|a| (f64::from(p[a]) * self.radius + self.centre[a]) as f32)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn strays_are_left_out_unless_too_few_points_remain() {
+        let made: Vec<Made> = [0.3, 2.0, 0.1, 0.9, 7.0, 0.5, f32::NAN]
+            .into_iter()
+            .map(|displacement| Made { at: [displacement, 0.0, 0.0], displacement })
+            .collect();
+        let kept = |size, limit| -> Vec<f32> {
+            without_strays(made.clone(), size, limit).iter().map(|p| p[0]).collect()
+        };
+        assert_eq!(kept(2, 0.8), [0.3, 0.1, 0.5]);
+        assert_eq!(kept(4, 0.8), [0.3, 0.1, 0.9, 0.5], "the least moved makes up for what lacks");
+        assert_eq!(kept(6, 0.8).len(), 6);
+        assert_eq!(kept(1, f32::INFINITY).len(), 6);
     }
 }

@@ -43,13 +43,17 @@ pub struct Settings {
     /// of a patch the unit sees neighbours on one side only, and farthest point sampling would
     /// prefer the strays it makes there.
     pub inner: f64,
+    /// How far a point may be moved from the one that it was made of, in multiples of that one's
+    /// mean distance to its 8 nearest; what moved further is a stray and left out. Positive;
+    /// infinity keeps everything.
+    pub max_displacement: f64,
     /// Chooses where farthest point sampling starts, hence which of many equally good results.
     pub seed: u64,
 }
 
 impl Default for Settings {
     fn default() -> Self {
-        Self { overlap: 3.0, inner: 0.5, seed: 0 }
+        Self { overlap: 3.0, inner: 0.5, max_displacement: 0.8, seed: 0 }
     }
 }
 
@@ -112,6 +116,9 @@ pub enum CascadeError {
     /// An inner share outside 0 to 1.
     #[error("inner share {0} is outside 0 to 1")]
     Inner(f64),
+    /// A displacement limit that is not a positive number.
+    #[error("the displacement limit {0} is not above 0")]
+    MaxDisplacement(f64),
     /// No local frame fits.
     #[error("{0}")]
     Frame(#[from] FrameError),
@@ -143,6 +150,9 @@ pub fn upsample(
     }
     if !(0.0..=1.0).contains(&settings.inner) {
         return Err(CascadeError::Inner(settings.inner));
+    }
+    if settings.max_displacement.is_nan() || settings.max_displacement <= 0.0 {
+        return Err(CascadeError::MaxDisplacement(settings.max_displacement));
     }
     let shape = workers.shape();
     let input = Input::prepare(positions)?;

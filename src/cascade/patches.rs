@@ -6,6 +6,9 @@ use super::{CascadeError, Observer, Settings, Stage};
 use crate::cloud::Point;
 use crate::geometry::{KdTree, Neighbour, Rng, farthest_point_sampling};
 
+/// Neighbours that a point's spacing is measured to: the ring around it on an even surface, and some.
+const SPACING_NEIGHBOURS: usize = 8;
+
 /// Overlapping patches that cover a cloud.
 pub(super) struct Patches {
     /// Points in every patch.
@@ -19,6 +22,8 @@ pub(super) struct Patches {
     /// For each point its row in the feature table. Rows of one owner follow each other, so that
     /// each patch writes one run of the table and no two patches share a row.
     pub(super) rows: Vec<u32>,
+    /// For each point the mean distance to its [`SPACING_NEIGHBOURS`] nearest others.
+    pub(super) spacing: Vec<f32>,
     /// For each point, the patch that owns it.
     owners: Vec<u32>,
 }
@@ -56,7 +61,8 @@ impl Patches {
         });
         add_uncovered(points, &tree, size, &mut members);
         let inner = (settings.inner * size as f64).ceil() as usize;
-        Ok(Self::own(points.len(), size, inner, members))
+        let spacing = spacing(points, &tree);
+        Ok(Self::own(spacing, size, inner, members))
     }
 
     /// How many there are.
@@ -87,7 +93,8 @@ impl Patches {
 
     /// A point belongs to the patch in which it lies most central: the one whose seed has it as the
     /// earliest neighbour, the first such patch where several do.
-    fn own(points: usize, size: usize, inner: usize, members: Vec<u32>) -> Self {
+    fn own(spacing: Vec<f32>, size: usize, inner: usize, members: Vec<u32>) -> Self {
+        let points = spacing.len();
         let mut owners = vec![0; points];
         let mut places = vec![u32::MAX; points];
         for (patch, members) in members.chunks_exact(size).enumerate() {
@@ -110,8 +117,23 @@ impl Patches {
             }
             row_starts.push(next as usize);
         }
-        Self { size, members, inner, row_starts, rows, owners }
+        Self { size, members, inner, row_starts, rows, spacing, owners }
     }
+}
+
+/// O(n log n), in the tree's order for the sake of caches.
+fn spacing(points: &[Point], tree: &KdTree) -> Vec<f32> {
+    let mean = |found: &mut Vec<Neighbour>, &i: &u32| {
+        tree.nearest(points[i as usize], SPACING_NEIGHBOURS + 1, found);
+        let distances = found.iter().map(|n| n.distance_squared.sqrt());
+        distances.sum::<f32>() / (found.len() - 1) as f32
+    };
+    let in_order: Vec<f32> = tree.order().par_iter().map_init(Vec::new, mean).collect();
+    let mut spacing = vec![0.0; points.len()];
+    for (&i, value) in tree.order().iter().zip(in_order) {
+        spacing[i as usize] = value;
+    }
+    spacing
 }
 
 fn nearest(tree: &KdTree, centre: Point, patch: &mut [u32], found: &mut Vec<Neighbour>) {

@@ -168,6 +168,11 @@ fn impossible_clouds_say_why() {
         let refused = upsample(&sphere(50, 1), Target::Ratio(2.0), &settings, &workers(1), &Silent);
         assert!(matches!(refused, Err(CascadeError::Inner(_))), "{inner}");
     }
+    for max_displacement in [0.0, -1.0, f64::NAN] {
+        let settings = Settings { max_displacement, ..Settings::default() };
+        let refused = upsample(&sphere(50, 1), Target::Ratio(2.0), &settings, &workers(1), &Silent);
+        assert!(matches!(refused, Err(CascadeError::MaxDisplacement(_))), "{max_displacement}");
+    }
 }
 
 #[test]

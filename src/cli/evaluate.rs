@@ -72,6 +72,10 @@ pub(super) struct EvaluateArgs {
     #[arg(long, value_name = "X", default_value_t = cascade::Settings::default().inner, conflicts_with = "pred")]
     inner: f64,
 
+    /// Leave out points moved further than this many spacings from their source; `inf` keeps all
+    #[arg(long, value_name = "X", default_value_t = cascade::Settings::default().max_displacement, conflicts_with = "pred")]
+    max_displacement: f64,
+
     /// Write everything as JSON to a file; `-` for standard output, in place of the tables
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
@@ -126,7 +130,12 @@ pub(super) fn run(args: &EvaluateArgs) -> Result<(), CliError> {
     let meshes = matching(&mesh).map_err(failed)?;
     let inputs = matching(&input).map_err(failed)?;
 
-    let settings = cascade::Settings { overlap: args.overlap, inner: args.inner, seed: args.seed };
+    let settings = cascade::Settings {
+        overlap: args.overlap,
+        inner: args.inner,
+        max_displacement: args.max_displacement,
+        seed: args.seed,
+    };
     let cascade = match args.pred {
         None => Some(Cascade { engine: args.engine.engine()?, target, settings }),
         Some(_) => None,
@@ -135,7 +144,14 @@ pub(super) fn run(args: &EvaluateArgs) -> Result<(), CliError> {
         None => {
             let model = args.engine.model()?;
             let (model, model_sha256) = (model.card.name.clone(), model.sha256.clone());
-            Some(CascadeSettings { model, model_sha256, ratio, overlap: args.overlap, inner: args.inner })
+            Some(CascadeSettings {
+                model,
+                model_sha256,
+                ratio,
+                overlap: args.overlap,
+                inner: args.inner,
+                max_displacement: args.max_displacement,
+            })
         }
         Some(_) => None,
     };

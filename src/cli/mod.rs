@@ -27,11 +27,11 @@ struct Arguments {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    Render(render::RenderArgs),
-    Sample(sample::SampleArgs),
     Upsample(upsample::UpsampleArgs),
-    Evaluate(evaluate::EvaluateArgs),
     Serve(serve::ServeArgs),
+    Evaluate(evaluate::EvaluateArgs),
+    Sample(sample::SampleArgs),
+    Render(render::RenderArgs),
 }
 
 /// Parses the arguments, runs the command, and says how it went.

@@ -47,6 +47,10 @@ pub(super) struct UpsampleArgs {
     #[arg(long, value_name = "X", default_value_t = Settings::default().inner)]
     inner: f64,
 
+    /// Leave out points moved further than this many spacings from their source; `inf` keeps all
+    #[arg(long, value_name = "X", default_value_t = Settings::default().max_displacement)]
+    max_displacement: f64,
+
     /// Say nothing but errors
     #[arg(short, long)]
     quiet: bool,
@@ -77,7 +81,12 @@ pub(super) fn run(args: &UpsampleArgs) -> Result<(), CliError> {
     }
 
     let points_in = cloud.positions.len();
-    let settings = Settings { overlap: args.overlap, inner: args.inner, seed: args.seed };
+    let settings = Settings {
+        overlap: args.overlap,
+        inner: args.inner,
+        max_displacement: args.max_displacement,
+        seed: args.seed,
+    };
     let engine = args.engine.engine()?;
     let fail = |e: EngineError| CliError::file(&args.input, e);
     let job = engine.submit(Request { positions: cloud.positions, target, settings }).map_err(fail)?;

@@ -49,6 +49,8 @@ pub struct CascadeSettings {
     pub overlap: f64,
     /// Share of each patch that was merged.
     pub inner: f64,
+    /// How far points may be moved, in spacings.
+    pub max_displacement: f64,
 }
 
 /// What was scored.

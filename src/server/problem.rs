@@ -150,9 +150,10 @@ impl From<CascadeError> for Problem {
             | CascadeError::TooFewPoints { .. }
             | CascadeError::TooManyDuplicates { .. }
             | CascadeError::Frame(_) => Self::Impossible(error.to_string()),
-            CascadeError::Overlap(_) | CascadeError::Inner(_) | CascadeError::Backend(_) => {
-                Self::Internal(error.to_string())
-            }
+            CascadeError::Overlap(_)
+            | CascadeError::Inner(_)
+            | CascadeError::MaxDisplacement(_)
+            | CascadeError::Backend(_) => Self::Internal(error.to_string()),
             // Nobody but a stopping engine cancels a request that is still waited for.
             CascadeError::Cancelled => Self::Draining,
         }
