@@ -9,7 +9,7 @@ demo: build
 	mkdir -p $(OUT)
 	$(PROGRAM) sample shape:knot $(OUT)/sparse.ply --points 2500 --noise 0.0025
 	$(PROGRAM) upsample $(OUT)/sparse.ply $(OUT)/dense.ply --ratio 16
-	$(PROGRAM) render $(OUT)/sparse.ply $(OUT)/before-after.png --beside $(OUT)/dense.ply
+	$(PROGRAM) render $(OUT)/sparse.ply $(OUT)/before-after.png --beside $(OUT)/dense.ply --size 800x600 --view 30,35
 	@echo "The dense cloud is $(OUT)/dense.ply; before and after are in $(OUT)/before-after.png."
 
 test: test-rust test-python

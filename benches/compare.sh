@@ -1,6 +1,7 @@
 #!/bin/sh
 # The whole cascade, 16x on 5,000 points: this program against straightforward PyTorch with the same
-# weights, rules and threads. `benches/compare.sh [RUNS] [THREADS]`; needs `make build venv`.
+# weights, rules and threads, in its own operations (no kernels of ours). `benches/compare.sh [RUNS]
+# [THREADS]`; needs `make build venv`.
 set -eu
 cd "$(dirname "$0")/.."
 runs=${1:-3}
@@ -12,7 +13,7 @@ trap 'rm -rf "$work"' EXIT
 "$program" sample shape:knot "$work/in.xyz" --points 5000
 
 torch() {
-    .venv/bin/python -m densecloud_training.cascade models/default "$work/in.xyz" "$work/torch.xyz" \
+    DENSECLOUD_NATIVE=0 .venv/bin/python -m densecloud_training.cascade models/default "$work/in.xyz" "$work/torch.xyz" \
         --ratio 16 --threads "$threads" --inner 0.5 --fps "$1"
 }
 for run in $(seq "$runs"); do
