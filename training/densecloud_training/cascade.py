@@ -1,7 +1,7 @@
 """Runs a cascade on a whole cloud in plain PyTorch: the baseline for speed, and a second opinion on the Rust program.
 
 `python -m densecloud_training.cascade CHECKPOINT IN.xyz OUT.xyz --ratio 16`. Each level: seeds by farthest point
-sampling, patches of the nearest neighbours, the unit, the inner outputs merged and resampled by farthest point sampling.
+sampling, patches of the nearest neighbours, the unit, the inner outputs merged and sampled by farthest point sampling.
 """
 
 import argparse
@@ -172,7 +172,7 @@ def main() -> None:
     parser.add_argument("output", type=Path)
     parser.add_argument("--ratio", type=float, default=4.0)
     parser.add_argument("--overlap", type=float, default=OVERLAP)
-    parser.add_argument("--inner", type=float, default=INNER, help="share of each patch, around its seed, that is merged")
+    parser.add_argument("--inner", type=float, default=INNER, help="share of a patch, around its seed, merged")
     parser.add_argument("--threads", type=int, default=0, help="0: as PyTorch decides")
     parser.add_argument("--batch", type=int, default=16, help="patches at once")
     parser.add_argument("--fps", choices=["plain", "fpsample"], default="plain", help="fpsample: the package's C++ one")
