@@ -1,6 +1,6 @@
 #!/bin/sh
 # The whole cascade, 16x on 5,000 points: this program against straightforward PyTorch with the same
-# weights, rules and threads, in its own operations (no kernels of ours). `benches/compare.sh [RUNS]
+# weights, overlap and threads, in its own operations (no kernels of ours). `benches/compare.sh [RUNS]
 # [THREADS]`; needs `make build venv`.
 set -eu
 cd "$(dirname "$0")/.."

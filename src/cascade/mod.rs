@@ -132,8 +132,8 @@ pub enum CascadeError {
 
 /// Upsamples a cloud.
 ///
-/// Cost: about `2 * overlap * (points out)/N` runs of the unit, and memory of about 1.1 kB a point
-/// of the last level's input (its skip features) beside the clouds themselves.
+/// Cost: about `overlap * (2^levels - 1) * n / N` runs of the unit for n distinct points in, and memory
+/// of about 1.1 kB a point of the last level's input (skip features) beside the clouds themselves.
 ///
 /// # Errors
 /// [`CascadeError`]: the input or target is impossible, the backend failed, or the observer asked
