@@ -63,6 +63,7 @@ class Config:
     decay_to: float = 1.0
     warmup: int = 0
     clip_value: float = 1.0
+    average: float = 0.0
     ratio_draw: List[float] = field(default_factory=lambda: [1.0, 2.0, 3.0, 4.0])
     data: Data = field(default_factory=Data)
     loss: Loss = field(default_factory=Loss)

@@ -1,6 +1,7 @@
 """Trains a cascade: `python -m densecloud_training.train --data CLOUDS --out RUN --budget MINUTES`."""
 
 import argparse
+import copy
 import json
 import random
 import shutil
@@ -36,6 +37,8 @@ class Trainer:
         self.host = random.Random(config.seed)
         torch.manual_seed(config.seed)
         self.cascade = Cascade(config.levels, config.k).to(self.device)
+        # What is scored and shipped: a running mean of the weights, which steps of a high rate do not shake.
+        self.averaged = copy.deepcopy(self.cascade).requires_grad_(False)
         self.source = PatchSource(training, config.data, config.patch, self.host)
         self.batch = config.batch_cuda if self.device.type == "cuda" else config.batch_cpu
         self.round, self.stage_index, self.stage_step, self.step = 0, 0, 0, 0
@@ -63,7 +66,10 @@ class Trainer:
         """Freezes, warm-starts, and gives the units that learn a fresh optimiser."""
         self.stage_step, self.stage_seconds = 0, 0.0
         if not self.finished:
+            # The next stage goes on from the mean, too.
+            self.cascade.load_state_dict(self.averaged.state_dict())
             learning = prepare_units(self.cascade, self.stage, self.config.warm_start, self.round == 0)
+            self.averaged.load_state_dict(self.cascade.state_dict())
             self.optimiser = torch.optim.Adam(learning, lr=self.stage.learning_rate)
 
     def leave_stage(self) -> None:
@@ -117,16 +123,27 @@ class Trainer:
             learning = [p for group in self.optimiser.param_groups for p in group["params"] if p.grad is not None]
             torch.nn.utils.clip_grad_value_(learning, self.config.clip_value)
             self.optimiser.step()
+            self.average()
         self.step += 1
         self.stage_step += 1
         self.patches += self.batch
         return levels, loss.detach()
+
+    @torch.no_grad()
+    def average(self) -> None:
+        """Moves the mean towards the weights: an exponential mean, over fewer steps at the start of a stage."""
+        decay = min(self.config.average, (1 + self.stage_step) / (10 + self.stage_step))
+        pairs = zip(self.averaged.parameters(), self.cascade.parameters())
+        means, values = zip(*((mean, value) for mean, value in pairs if value.requires_grad))
+        torch._foreach_mul_(means, decay)
+        torch._foreach_add_(means, values, alpha=1 - decay)
 
     def state(self) -> Dict[str, Any]:
         names = ("round", "stage_index", "stage_step", "step", "stage_seconds", "seconds", "patches", "history")
         return {
             "config": self.config.as_dict(),
             "cascade": self.cascade.state_dict(),
+            "averaged": self.averaged.state_dict(),
             "optimiser": self.optimiser.state_dict(),
             "random": checkpoints.random_state(self.host, self.device),
             "data": [{"name": name, **source} for name, source in zip(self.training.names, self.training.sources)],
@@ -138,6 +155,7 @@ class Trainer:
         self.round, self.stage_index = counters["round"], counters["stage_index"]
         self.enter_stage()
         self.cascade.load_state_dict(state["cascade"])
+        self.averaged.load_state_dict(state.get("averaged", state["cascade"]))
         if not self.finished:
             self.optimiser.load_state_dict(state["optimiser"])
         for name, value in counters.items():
@@ -201,7 +219,7 @@ def run(trainer: Trainer, out: Path, validation: Optional[Validation], arguments
             log.write(**at, **meter.report(), progress=round(trainer.progress(), 4), learning_rate=round(rate, 8))
             meter, next_log = Meter(), now + arguments.log_every
         if validation and (now >= next_score or ends):
-            scores = validation.of_cascade(trainer.cascade, trainer.stage.levels)
+            scores = validation.of_cascade(trainer.averaged, trainer.stage.levels)
             log.write(**at, validation=rounded(scores))
             next_score = time.monotonic() + arguments.score_every
         if ends:

@@ -254,3 +254,20 @@ def test_a_run_goes_on_elsewhere_with_its_log(prepared, tmp_path, monkeypatch):
     counters = [checkpoints.load(run / checkpoints.FILE)["counters"] for run in (first, second)]
     assert [count["step"] for count in counters] == [1, 3]
     assert (second / "log.jsonl").read_text().startswith((first / "log.jsonl").read_text())
+
+
+def test_the_mean_of_the_weights_is_what_is_scored_and_shipped(training, tmp_path):
+    config = small()
+    config.average = 0.5
+    trainer = Trainer(config, training, None)
+    wanted = [p.detach().clone() for p in trainer.cascade.parameters()]
+    for step in range(3):
+        trainer.train_step()
+        decay = min(0.5, (1 + step) / (10 + step))
+        wanted = [decay * mean + (1 - decay) * p.detach() for mean, p in zip(wanted, trainer.cascade.parameters())]
+    assert all(torch.allclose(a, b, atol=1e-6) for a, b in zip(wanted, trainer.averaged.parameters()))
+    assert not all(torch.equal(a, b) for a, b in zip(trainer.averaged.parameters(), trainer.cascade.parameters()))
+    checkpoints.save(tmp_path / checkpoints.FILE, trainer.state())
+    loaded, _, _ = checkpoints.load_cascade(tmp_path)
+    first = zip(loaded.units[0].parameters(), trainer.averaged.units[0].parameters())
+    assert all(torch.equal(a, b) for a, b in first)
