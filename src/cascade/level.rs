@@ -5,6 +5,8 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use rayon::prelude::*;
 
 use super::patches::Patches;
+use super::polish::polish;
+use super::strays::{Made, Measured, without_strays};
 use super::{CascadeError, Observer, Settings, Stage};
 use crate::backend::{BackendError, Batch, SKIP_NEIGHBOURS, SkipInput, Worker, Workers};
 use crate::cloud::Point;
@@ -22,6 +24,16 @@ pub(super) struct Level {
     pub(super) points: Vec<Point>,
     /// What the level before it left; none at the first.
     pub(super) previous: Option<Previous>,
+    /// The cascade's input, to measure strays against; none at the first, whose input it is.
+    pub(super) measured: Option<Measured>,
+}
+
+/// What a level gives.
+pub(super) struct Done {
+    pub(super) points: Vec<Point>,
+    /// For the next level, unless there is none.
+    pub(super) previous: Option<Previous>,
+    pub(super) measured: Option<Measured>,
 }
 
 /// What a level leaves to the next: its input points and their features.
@@ -49,7 +61,7 @@ impl Level {
         settings: &Settings,
         workers: &Workers,
         observer: &dyn Observer,
-    ) -> Result<(Vec<Point>, Option<Previous>), CascadeError> {
+    ) -> Result<Done, CascadeError> {
         // Each level draws from its own stream, so that a ratio's levels do not depend on how many
         // follow.
         let mut random = Rng::new(settings.seed.wrapping_add((self.number as u64) << 32));
@@ -59,20 +71,34 @@ impl Level {
 
         observer.begin(self.number, Stage::Units);
         let (merged, features) = self.run_units(&patches, skip.as_ref(), workers, observer)?;
-        let merged = without_strays(merged, size, settings.max_displacement as f32);
+        let Patches { rows, spacing, .. } = patches;
+        let measured = self.measured.unwrap_or_else(|| Measured::new(&self.points, spacing));
+        let limits = (settings.max_displacement as f32, settings.max_distance as f32);
+        let doubled = 2 * self.points.len();
+        let merged = without_strays(merged, doubled.max(size), limits.0, limits.1, &measured);
         if merged.len() < size {
             let why = "it made points that are not finite; the model is unusable".into();
             return Err(BackendError::Run { unit: self.unit + 1, why }.into());
         }
-        let previous = (!self.last).then_some(Previous { points: self.points, features, rows: patches.rows });
+        let previous = (!self.last).then_some(Previous { points: self.points, features, rows });
 
         observer.begin(self.number, Stage::Resample);
         if observer.cancelled() {
             return Err(CascadeError::Cancelled);
         }
+        // The polish wants the level's full density, also where the target is lower.
+        let polished = self.last && settings.polish;
+        let count = if polished { doubled.max(size).min(merged.len()) } else { size };
         let first = random.below(merged.len() as u64) as usize;
-        let kept = farthest_point_sampling(&merged, size, first);
-        Ok((kept.iter().map(|&i| merged[i as usize]).collect(), previous))
+        let kept = farthest_point_sampling(&merged, count, first);
+        let mut points: Vec<Point> = kept.iter().map(|&i| merged[i as usize]).collect();
+        if polished {
+            if observer.cancelled() {
+                return Err(CascadeError::Cancelled);
+            }
+            points = polish(&merged, &points, size, &mut random);
+        }
+        Ok(Done { points, previous, measured: (!self.last).then_some(measured) })
     }
 
     /// Runs every patch, each into its own part of the merged cloud (two points for each one that
@@ -162,26 +188,6 @@ impl Level {
     }
 }
 
-/// A point that a unit made.
-#[derive(Debug, Clone, Copy, Default)]
-struct Made {
-    at: Point,
-    /// How far from the point it was made of, in that point's spacing.
-    displacement: f32,
-}
-
-/// What may be sampled: all points but those moved further than `limit`. Where that leaves fewer
-/// than `size`, the least moved of the others make up for it; only points that are not finite are
-/// never taken.
-fn without_strays(made: Vec<Made>, size: usize, limit: f32) -> Vec<Point> {
-    let mut limit = limit;
-    if made.iter().filter(|m| m.displacement <= limit).count() < size {
-        let mut moved: Vec<f32> = made.iter().map(|m| m.displacement).collect();
-        limit = moved.select_nth_unstable_by(size - 1, f32::total_cmp).1.min(f32::MAX);
-    }
-    made.iter().filter(|m| m.displacement <= limit).map(|m| m.at).collect()
-}
-
 /// One patch's share of the level's output.
 struct PatchTask<'a> {
     patch: usize,
@@ -239,25 +245,5 @@ impl Sphere {
 
     fn restore(&self, p: Point) -> Point {
         std::array::from_fn(|a| (f64::from(p[a]) * self.radius + self.centre[a]) as f32)
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn strays_are_left_out_unless_too_few_points_remain() {
-        let made: Vec<Made> = [0.3, 2.0, 0.1, 0.9, 7.0, 0.5, f32::NAN]
-            .into_iter()
-            .map(|displacement| Made { at: [displacement, 0.0, 0.0], displacement })
-            .collect();
-        let kept = |size, limit| -> Vec<f32> {
-            without_strays(made.clone(), size, limit).iter().map(|p| p[0]).collect()
-        };
-        assert_eq!(kept(2, 0.8), [0.3, 0.1, 0.5]);
-        assert_eq!(kept(4, 0.8), [0.3, 0.1, 0.9, 0.5], "the least moved makes up for what lacks");
-        assert_eq!(kept(6, 0.8).len(), 6);
-        assert_eq!(kept(1, f32::INFINITY).len(), 6);
     }
 }

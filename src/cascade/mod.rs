@@ -2,8 +2,9 @@
 //!
 //! For each level, on a cloud of n points (the paper's section 3, its whole-cloud form): seeds by
 //! farthest point sampling, a patch of the N nearest points around each, one unit on all patches,
-//! and farthest point sampling of everything the unit made down to 2n points. The last level
-//! samples straight to the target, so that any ratio is exact.
+//! and farthest point sampling of what the unit made, strays aside, down to 2n points. The last
+//! level samples straight to the target, so that any ratio is exact, and ends with a polish that
+//! makes the cloud even and smooth ([`Settings::polish`]).
 //!
 //! # What happens to difficult input
 //!
@@ -23,6 +24,8 @@ mod level;
 mod observer;
 mod patches;
 mod plan;
+mod polish;
+mod strays;
 
 pub use observer::{Observer, Silent, Stage};
 pub use plan::{MAX_RATIO, Target};
@@ -30,7 +33,7 @@ pub use plan::{MAX_RATIO, Target};
 use crate::backend::{BackendError, Workers};
 use crate::cloud::{FrameError, Position};
 use input::Input;
-use level::{Level, Previous};
+use level::{Done, Level};
 use plan::Plan;
 
 /// How to run the cascade; the defaults are what the shipped model was measured with.
@@ -47,21 +50,29 @@ pub struct Settings {
     /// mean distance to its 8 nearest; what moved further is a stray and left out. Positive;
     /// infinity keeps everything.
     pub max_displacement: f64,
+    /// How far a point may lie from the nearest input point, in multiples of the distance that nine
+    /// in ten points of its level keep to, each in the input point's spacing; what lies further is
+    /// left out. Positive; infinity keeps everything.
+    pub max_distance: f64,
+    /// Whether the last level is made even and smooth: its sample's midpoints are sampled once
+    /// more and projected onto the surface that all its points suggest. Without, every point is
+    /// one that the network put there.
+    pub polish: bool,
     /// Chooses where farthest point sampling starts, hence which of many equally good results.
     pub seed: u64,
 }
 
 impl Default for Settings {
     fn default() -> Self {
-        Self { overlap: 3.0, inner: 0.5, max_displacement: 0.8, seed: 0 }
+        Self { overlap: 3.0, inner: 0.5, max_displacement: 0.8, max_distance: 1.5, polish: true, seed: 0 }
     }
 }
 
 /// A dense cloud and what was done to the input.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Upsampled {
-    /// Exactly [`Target::points_out`] positions, each an output of the network, in the order of
-    /// farthest point sampling: any prefix is spread evenly.
+    /// Exactly [`Target::points_out`] positions in the order of farthest point sampling: any prefix
+    /// is spread evenly.
     pub positions: Vec<Position>,
     /// Points left out because a coordinate was NaN or infinite.
     pub dropped_non_finite: usize,
@@ -119,6 +130,9 @@ pub enum CascadeError {
     /// A displacement limit that is not a positive number.
     #[error("the displacement limit {0} is not above 0")]
     MaxDisplacement(f64),
+    /// A distance limit that is not a positive number.
+    #[error("the distance limit {0} is not above 0")]
+    MaxDistance(f64),
     /// No local frame fits.
     #[error("{0}")]
     Frame(#[from] FrameError),
@@ -154,24 +168,27 @@ pub fn upsample(
     if settings.max_displacement.is_nan() || settings.max_displacement <= 0.0 {
         return Err(CascadeError::MaxDisplacement(settings.max_displacement));
     }
+    if settings.max_distance.is_nan() || settings.max_distance <= 0.0 {
+        return Err(CascadeError::MaxDistance(settings.max_distance));
+    }
     let shape = workers.shape();
     let input = Input::prepare(positions)?;
     let plan = Plan::new(target, input.finite, input.points.len(), input.duplicates(), shape)?;
     observer.plan(&plan.sizes);
     let dense = workers.install(|| {
-        let mut points = input.points;
-        let mut previous: Option<Previous> = None;
+        let mut done = Done { points: input.points, previous: None, measured: None };
         for (number, &size) in plan.sizes.iter().enumerate() {
             let level = Level {
                 number,
                 unit: number.min(workers.backend().units() - 1),
                 last: number + 1 == plan.sizes.len(),
-                points,
-                previous,
+                points: done.points,
+                previous: done.previous,
+                measured: done.measured,
             };
-            (points, previous) = level.run(size, settings, workers, observer)?;
+            done = level.run(size, settings, workers, observer)?;
         }
-        Ok::<_, CascadeError>(points)
+        Ok::<_, CascadeError>(done.points)
     })?;
     Ok(Upsampled {
         positions: dense.iter().map(|p| input.frame.to_world(*p)).collect(),

@@ -173,6 +173,11 @@ fn impossible_clouds_say_why() {
         let refused = upsample(&sphere(50, 1), Target::Ratio(2.0), &settings, &workers(1), &Silent);
         assert!(matches!(refused, Err(CascadeError::MaxDisplacement(_))), "{max_displacement}");
     }
+    for max_distance in [0.0, -1.0, f64::NAN] {
+        let settings = Settings { max_distance, ..Settings::default() };
+        let refused = upsample(&sphere(50, 1), Target::Ratio(2.0), &settings, &workers(1), &Silent);
+        assert!(matches!(refused, Err(CascadeError::MaxDistance(_))), "{max_distance}");
+    }
 }
 
 #[test]

@@ -76,6 +76,14 @@ pub(super) struct EvaluateArgs {
     #[arg(long, value_name = "X", default_value_t = cascade::Settings::default().max_displacement, conflicts_with = "pred")]
     max_displacement: f64,
 
+    /// Leave out points further from the input than this many times what nine in ten keep to; `inf` keeps all
+    #[arg(long, value_name = "X", default_value_t = cascade::Settings::default().max_distance, conflicts_with = "pred")]
+    max_distance: f64,
+
+    /// Keep what the network made as it is: less even, less smooth, and each point an output of the network
+    #[arg(long, conflicts_with = "pred")]
+    no_polish: bool,
+
     /// Write everything as JSON to a file; `-` for standard output, in place of the tables
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
@@ -134,6 +142,8 @@ pub(super) fn run(args: &EvaluateArgs) -> Result<(), CliError> {
         overlap: args.overlap,
         inner: args.inner,
         max_displacement: args.max_displacement,
+        max_distance: args.max_distance,
+        polish: !args.no_polish,
         seed: args.seed,
     };
     let cascade = match args.pred {
@@ -151,6 +161,8 @@ pub(super) fn run(args: &EvaluateArgs) -> Result<(), CliError> {
                 overlap: args.overlap,
                 inner: args.inner,
                 max_displacement: args.max_displacement,
+                max_distance: args.max_distance,
+                polish: !args.no_polish,
             })
         }
         Some(_) => None,

@@ -51,6 +51,14 @@ pub(super) struct UpsampleArgs {
     #[arg(long, value_name = "X", default_value_t = Settings::default().max_displacement)]
     max_displacement: f64,
 
+    /// Leave out points further from the input than this many times what nine in ten keep to; `inf` keeps all
+    #[arg(long, value_name = "X", default_value_t = Settings::default().max_distance)]
+    max_distance: f64,
+
+    /// Keep what the network made as it is: less even, less smooth, and each point an output of the network
+    #[arg(long)]
+    no_polish: bool,
+
     /// Say nothing but errors
     #[arg(short, long)]
     quiet: bool,
@@ -85,6 +93,8 @@ pub(super) fn run(args: &UpsampleArgs) -> Result<(), CliError> {
         overlap: args.overlap,
         inner: args.inner,
         max_displacement: args.max_displacement,
+        max_distance: args.max_distance,
+        polish: !args.no_polish,
         seed: args.seed,
     };
     let engine = args.engine.engine()?;

@@ -51,6 +51,10 @@ pub struct CascadeSettings {
     pub inner: f64,
     /// How far points may be moved, in spacings.
     pub max_displacement: f64,
+    /// How far from the input points may lie, against what nine in ten keep to.
+    pub max_distance: f64,
+    /// Whether the last level was made even and smooth.
+    pub polish: bool,
 }
 
 /// What was scored.

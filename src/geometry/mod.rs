@@ -17,6 +17,7 @@
 mod farthest;
 mod kdtree;
 mod mesh;
+mod mls;
 mod normals;
 mod poisson_disk;
 mod random;
@@ -27,6 +28,7 @@ mod uniform;
 pub use farthest::farthest_point_sampling;
 pub use kdtree::{KdTree, Neighbour};
 pub use mesh::{Mesh, MeshError};
+pub use mls::project_to_surface;
 pub use normals::estimate_normals;
 pub use poisson_disk::poisson_disk;
 pub use random::Rng;

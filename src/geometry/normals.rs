@@ -63,7 +63,7 @@ fn normal(points: &[Point], near: &[Neighbour]) -> [f32; 3] {
 
 /// The unit eigenvector of the smallest eigenvalue of a symmetric matrix, of which the upper
 /// triangle is read; cyclic Jacobi rotations, which are exact where eigenvalues are equal too.
-fn least_eigenvector(mut m: [[f64; 3]; 3]) -> [f64; 3] {
+pub(super) fn least_eigenvector(mut m: [[f64; 3]; 3]) -> [f64; 3] {
     let mut vectors = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
     let scale = m[0][0] + m[1][1] + m[2][2];
     // Converges quadratically: six sweeps are more than 3 x 3 ever needs.

@@ -153,6 +153,7 @@ impl From<CascadeError> for Problem {
             CascadeError::Overlap(_)
             | CascadeError::Inner(_)
             | CascadeError::MaxDisplacement(_)
+            | CascadeError::MaxDistance(_)
             | CascadeError::Backend(_) => Self::Internal(error.to_string()),
             // Nobody but a stopping engine cancels a request that is still waited for.
             CascadeError::Cancelled => Self::Draining,
