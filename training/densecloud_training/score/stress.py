@@ -116,10 +116,13 @@ def draw(steps: List[Step], out: Path) -> None:
                 values = [step.means[method][metric] * factor for step in of_sweep]
                 if all(map(math.isfinite, values)):
                     panel.plot([100 * step.share for step in of_sweep], values, markersize=4, **style)
-            panel.set(xlabel=axis_label, title=label, ylim=(0, None))
+            panel.set(xlabel=axis_label, title=label)
             panel.title.set_fontsize(10)
             panel.grid(alpha=0.25)
             panel.tick_params(labelleft=True)
+    for panel in rows[-1]:
+        # Only now, and for the column: a limit that is set ends the fitting of axes to data.
+        panel.set_ylim(bottom=0)
     figure.legend(*rows[0][0].get_legend_handles_labels(), loc="lower center", ncols=len(STYLES), frameon=False)
     shapes = len(steps[0].report.rows)
     figure.suptitle(
