@@ -7,7 +7,7 @@ from typing import List
 
 from ..clouds import validation_names
 from ..prepare import find_program
-from . import peers, pictures, stress, validation
+from . import noisy, peers, pictures, stress, validation
 from .inputs import Inputs
 from .program import Program, ProgramError
 
@@ -32,6 +32,8 @@ def parser() -> argparse.ArgumentParser:
     commands.add_parser("stress", parents=[common, meshes], help="curves over noise and over removed points")
     found = commands.add_parser("peers", parents=[common], help="the PU-GAN benchmark, beside other networks")
     found.add_argument("--benchmark", type=Path, required=True, help="folder with mesh/, input_*/ and reference_*/")
+    found = commands.add_parser("noisy", parents=[common, meshes], help="what cleaning before upsampling gains")
+    found.add_argument("--scans", type=Path, help="folder of scans: draws one of them too, cleaned in each way")
     found = commands.add_parser("pictures", parents=[common], help="before and after, of real scans")
     found.add_argument("--scans", type=Path, required=True, help="folder of scans")
     found.add_argument("names", nargs="*", help=f"of: {' '.join(view.scan for view in pictures.VIEWS)}")
@@ -71,6 +73,11 @@ def run(arguments: argparse.Namespace) -> None:
     elif arguments.command == "peers":
         only: List[str] = arguments.shapes.split(",") if arguments.shapes else []
         write(out, "peers.md", peers.text(peers.evaluate(program, arguments.benchmark, out, only or None)))
+    elif arguments.command == "noisy":
+        if arguments.scans:
+            print(noisy.draw(program, arguments.scans, out / "noisy"))
+        inputs = held_out(arguments, program)
+        write(out, "noisy.md", noisy.text(noisy.evaluate(inputs), inputs.shapes))
     elif arguments.command == "pictures":
         for view in pictures.views(arguments.names):
             picture = pictures.draw(program, view, arguments.scans, out)

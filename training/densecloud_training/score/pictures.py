@@ -9,7 +9,6 @@ from .program import Program
 from .scans import crop, read_scan
 
 Corner = Tuple[float, float, float]
-SIZE = "640x520"
 RATIO = 4
 EXTENSIONS = (".pcd", ".las", ".ply", ".xyz", ".pwn")
 # So many colours that shading shows no steps; a picture of them is a third as large.
@@ -25,21 +24,23 @@ class View:
     up: str = "z"
     low: Corner = (0.0, 0.0, 0.0)
     high: Corner = (1.0, 1.0, 1.0)
+    # Pixels of one cloud.
+    size: str = "640x520"
 
     @property
     def options(self) -> Sequence[object]:
-        return ["--size", SIZE, f"--view={self.view}", "--up", self.up]
+        return ["--size", self.size, f"--view={self.view}", "--up", self.up]
 
 
 # A head and a building by laser, a carton by a depth camera, a lamp post from a street scanner, a house front from the
-# ground, and trees from an aircraft. A part was chosen where the whole would not show single points.
+# ground, and a bridge from an aircraft. A part was chosen where the whole would not show single points.
 VIEWS = (
     View("cgal_oni", "20,5", "y"),
-    View("cgal_building", "30,20", low=(0.0, 0.0, 0.0), high=(0.3, 0.25, 1.0)),
+    View("cgal_building", "80,15", low=(0.5, 0.0, 0.0), high=(1.0, 0.25, 1.0)),
     View("pcl_milk", "350,20", "y"),
-    View("pcl_lamppost", "110,10", low=(0.0, 0.0, 0.4)),
-    View("pcl_region_growing_tutorial", "270,70", high=(0.35, 1.0, 1.0)),
-    View("pdal_autzen_trim", "30,20", low=(0.0, 0.0, 0.0), high=(0.2, 0.4, 1.0)),
+    View("pcl_lamppost", "110,10", low=(0.0, 0.0, 0.75)),
+    View("pcl_region_growing_tutorial", "200,20", "x", high=(0.35, 1.0, 1.0)),
+    View("pdal_autzen_trim", "30,25", low=(0.3, 0.5, 0.0), high=(0.5, 1.0, 1.0)),
 )
 
 

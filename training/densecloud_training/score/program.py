@@ -69,6 +69,12 @@ class Program:
             partial.replace(file)
         return report.parse(json.loads(file.read_text()))
 
+    def score(self, clouds: Path, reference: Path, meshes: Path, shapes: List[str]) -> Report:
+        """Scores dense clouds that are there already; no controls, nothing kept."""
+        text = self.run("evaluate", "--pred", clouds, "--reference", reference, "--mesh", meshes, "--shapes",
+                        ",".join(shapes), "--quiet", "--json", "-")  # fmt: skip
+        return report.parse(json.loads(text))
+
     def upsample(self, cloud: Path, out: Path, *more: object) -> Path:
         """A denser cloud, always made anew."""
         threads = ["--threads", self.threads] if self.threads else []
