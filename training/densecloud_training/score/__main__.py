@@ -75,7 +75,7 @@ def run(arguments: argparse.Namespace) -> None:
         write(out, "peers.md", peers.text(peers.evaluate(program, arguments.benchmark, out, only or None)))
     elif arguments.command == "noisy":
         if arguments.scans:
-            print(noisy.draw(program, arguments.scans, out / "noisy"))
+            print(noisy.draw(program, arguments.scans, out))
         inputs = held_out(arguments, program)
         write(out, "noisy.md", noisy.text(noisy.evaluate(inputs), inputs.shapes))
     elif arguments.command == "pictures":

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import List
+from typing import Dict, List
 
 import numpy as np
 
@@ -51,21 +51,26 @@ def evaluate(inputs: Inputs) -> List[Result]:
     results = []
     for noise in NOISE:
         given = inputs.sampled(POINTS, noise=noise)
-        sizes: dict = {}
+        sizes: Dict[str, List[int]] = {}
         for number, shape in enumerate(inputs.shapes):
             cloud = with_strays(read_points(given / f"{shape}.ply"), STRAYS, number)
             for way, cleaned in variants(cloud).items():
                 sizes.setdefault(way, []).append(len(cleaned))
-                folder = inputs.out / "noisy" / f"{noise:g}" / way.replace(", ", "-").replace(" ", "-")
-                (folder / "dense").mkdir(parents=True, exist_ok=True)
-                sparse = folder / f"{shape}.xyz"
+                dense = dense_folder(inputs, noise, way)
+                dense.mkdir(parents=True, exist_ok=True)
+                sparse = dense.parent / f"{shape}.xyz"
                 write_points(sparse, cleaned)
-                inputs.program.upsample(sparse, folder / "dense" / f"{shape}.ply", "--points", POINTS_OUT)
+                inputs.program.upsample(sparse, dense / f"{shape}.ply", "--points", POINTS_OUT)
         for way, counts in sizes.items():
-            folder = inputs.out / "noisy" / f"{noise:g}" / way.replace(", ", "-").replace(" ", "-")
-            report = inputs.program.score(folder / "dense", wanted, inputs.meshes, inputs.shapes)
+            dense = dense_folder(inputs, noise, way)
+            report = inputs.program.score(dense, wanted, inputs.meshes, inputs.shapes)
             results.append(Result(noise, way, sum(counts) / len(counts), report.means()["prediction"]))
     return results
+
+
+def dense_folder(inputs: Inputs, noise: float, way: str) -> Path:
+    """Where the dense clouds of one way of cleaning go; what they were made from goes beside it."""
+    return inputs.out / "noisy" / f"{noise:g}" / way.replace(", ", "-").replace(" ", "-") / "dense"
 
 
 def text(results: List[Result], shapes: List[str]) -> str:
@@ -90,16 +95,17 @@ def text(results: List[Result], shapes: List[str]) -> str:
 
 
 def draw(program: Program, scans: Path, out: Path, view: View = VIEW) -> Path:
-    """One strip: the scan, the same upsampled as it is, and upsampled after each of WAYS_DRAWN."""
-    out.mkdir(parents=True, exist_ok=True)
+    """One strip: the scan, and what it gives when upsampled after each of WAYS_DRAWN."""
+    folder = out / "scans"
+    folder.mkdir(parents=True, exist_ok=True)
     whole = crop(read_scan(find_scan(scans, view.scan)), view.low, view.high)
     random = np.random.default_rng(0)
     points = whole[np.sort(random.permutation(len(whole))[:SCAN_POINTS])]
     ways = variants(points)
     clouds = []
     for number, way in enumerate(WAYS_DRAWN):
-        sparse, dense = out / f"{view.scan}-{number}.xyz", out / f"{view.scan}-{number}.ply"
+        sparse, dense = folder / f"{view.scan}-{number}.xyz", folder / f"{view.scan}-{number}.ply"
         write_points(sparse, ways[way])
         clouds += [sparse] if number == 0 else []
         clouds.append(program.upsample(sparse, dense, "--points", RATIO * len(points)))
-    return beside(program, clouds, view, out.parent / f"{view.scan}.png")
+    return beside(program, clouds, view, out)

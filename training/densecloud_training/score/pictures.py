@@ -62,16 +62,19 @@ def find_scan(folder: Path, name: str) -> Path:
 
 
 def draw(program: Program, view: View, scans: Path, out: Path) -> Path:
-    """Upsamples what the view shows and draws it beside what it was."""
-    out.mkdir(parents=True, exist_ok=True)
-    sparse, dense = out / f"{view.scan}.xyz", out / f"{view.scan}-dense.ply"
+    """Upsamples what the view shows and draws it beside what it was: `OUT/pictures/SCAN.png`."""
+    clouds = out / "scans"
+    clouds.mkdir(parents=True, exist_ok=True)
+    sparse, dense = clouds / f"{view.scan}.xyz", clouds / f"{view.scan}-dense.ply"
     write_points(sparse, crop(read_scan(find_scan(scans, view.scan)), view.low, view.high))
     program.upsample(sparse, dense, "--ratio", RATIO)
-    return beside(program, [sparse, dense], view, out / f"{view.scan}.png")
+    return beside(program, [sparse, dense], view, out)
 
 
-def beside(program: Program, clouds: Sequence[Path], view: View, picture: Path) -> Path:
-    """Draws clouds side by side, in few colours."""
+def beside(program: Program, clouds: Sequence[Path], view: View, out: Path) -> Path:
+    """Draws clouds side by side, in few colours, as `OUT/pictures/SCAN.png`."""
+    picture = out / "pictures" / f"{view.scan}.png"
+    picture.parent.mkdir(parents=True, exist_ok=True)
     others = [argument for cloud in clouds[1:] for argument in ("--beside", cloud)]
     program.run("render", clouds[0], picture, *others, *view.options)
     from PIL import Image
