@@ -247,7 +247,8 @@ def test_views_are_chosen_by_name():
 def test_the_program_is_told_once_and_its_failures_are_shown(tmp_path):
     """A stand-in for the program: it notes its calls, and knows one command."""
     script = tmp_path / "program"
-    script.write_text('#!/bin/sh\n[ "$1" = sample ] || { echo "no $1" >&2; exit 1; }\necho "$@" >> "$0.log"\necho 1 > "$3"\n')
+    known = '[ "$1" = sample ] || { echo "no $1" >&2; exit 1; }'
+    script.write_text(f'#!/bin/sh\n{known}\necho "$@" >> "$0.log"\necho 1 > "$3"\n')
     script.chmod(0o755)
     mesh = tmp_path / "cow.ply"
     mesh.write_text("a mesh")

@@ -1,7 +1,7 @@
 """Scores of the finished program: `python -m densecloud_training.score COMMAND ...`.
 
-Everything is computed by the `densecloud` program itself (`sample`, `evaluate`, `upsample`, `render`), so what is scored is
-what users run: weights, merging and all. Files made on the way are kept in the `--out` folder and used again.
+Everything is computed by the `densecloud` program itself (`sample`, `evaluate`, `upsample`, `render`), so what is
+scored is what users run: weights, merging and all. Files made on the way are kept in the `--out` folder and used again.
 
     program     the program: its commands, and results that are kept
     report      scores read from `densecloud evaluate --json`, and their means

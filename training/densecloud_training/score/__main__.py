@@ -3,7 +3,7 @@
 import argparse
 import json
 from pathlib import Path
-from typing import List
+from typing import List, Sequence
 
 from ..clouds import validation_names
 from ..prepare import find_program
@@ -20,9 +20,8 @@ def parser() -> argparse.ArgumentParser:
     common.add_argument("--threads", type=int, help="worker threads [default: one a processor]")
     common.add_argument("--out", type=Path, required=True, help="folder for tables, and for what is made on the way")
     common.add_argument("--shapes", help="only these, separated by commas: for a trial")
-    common.add_argument(
-        "--option", action="append", default=[], help="a further option of `evaluate` and `upsample`: --option=--inner=0.7"
-    )
+    further = "a further option of `evaluate` and `upsample`: --option=--inner=0.7"
+    common.add_argument("--option", action="append", default=[], help=further)
     meshes = argparse.ArgumentParser(add_help=False)
     meshes.add_argument("--meshes", type=Path, required=True, help="folder that has the held-out meshes")
 
@@ -40,9 +39,11 @@ def parser() -> argparse.ArgumentParser:
     return top
 
 
-def held_out(arguments: argparse.Namespace, program: Program) -> Inputs:
-    """The held-out shapes, or those of them that were asked for."""
+def held_out(arguments: argparse.Namespace, program: Program, usual: Sequence[str] = ()) -> Inputs:
+    """The held-out shapes that were asked for; else the `usual` ones; else all."""
     names = validation_names()
+    if usual and not arguments.shapes:
+        names = list(usual)
     if arguments.shapes:
         asked = arguments.shapes.split(",")
         unknown = sorted(set(asked) - set(names))
@@ -76,7 +77,7 @@ def run(arguments: argparse.Namespace) -> None:
     elif arguments.command == "noisy":
         if arguments.scans:
             print(noisy.draw(program, arguments.scans, out))
-        inputs = held_out(arguments, program)
+        inputs = held_out(arguments, program, noisy.SHAPES)
         write(out, "noisy.md", noisy.text(noisy.evaluate(inputs), inputs.shapes))
     elif arguments.command == "pictures":
         for view in pictures.views(arguments.names):

@@ -18,6 +18,8 @@ from .table import markdown, plain, thousandths
 POINTS = 8192
 POINTS_OUT = 32768
 NOISE = (0.01, 0.02, 0.04)
+# One of each kind of held-out shape: statue, organic, mechanical, thin.
+SHAPES = ("tds_plato", "cgal_bull", "vtk_gears", "ycb_scissors")
 # Share of points added that lie anywhere in the bounding box.
 STRAYS = 0.01
 
@@ -88,9 +90,9 @@ def text(results: List[Result], shapes: List[str]) -> str:
     header = ["noise", "before upsampling", "points in", "chamfer", "hausdorff 95", "to surface", "from surface",
               "spacing variation"]  # fmt: skip
     return (
-        f"{POINTS:,} even points with noise (deviation, of half the bounding box's diagonal) and {STRAYS * 100:g} % more "
-        f"anywhere in the box, upsampled to {POINTS_OUT:,}; mean of {', '.join(shapes)}. x 1e-3 in radii of the reference, "
-        "chamfer squared.\n\n"
+        f"{POINTS:,} even points with noise (deviation, of half the bounding box's diagonal) and {STRAYS * 100:g} % "
+        f"more anywhere in the box, upsampled to {POINTS_OUT:,}; mean of {', '.join(shapes)}. x 1e-3 in radii of the "
+        "reference, chamfer squared.\n\n"
     ) + markdown(header, rows)
 
 

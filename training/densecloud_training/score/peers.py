@@ -104,9 +104,11 @@ def text(reports: Dict[str, Report]) -> str:
     rows = [[names.get(m, m), *cells(triple(reports[c], m) for c in COLUMNS)] for m in METHODS]
     rows += [[name, *cells(triples)] for name, triples in {**PEERS, **GOALS}.items()]
     header = [f"{column} ({len(reports[column].rows)})" for column in COLUMNS]
-    parts = ["CD / HD / P2F as published, x 1e-3; in brackets the number of shapes. Peers: their released weights, measured "
-             f"on the same files. 5,000 to 80,000: {', '.join(SIX)}, sampled from the meshes.\n",
-             markdown(["", *header], rows)]  # fmt: skip
+    parts = [
+        "CD / HD / P2F as published, x 1e-3; in brackets the number of shapes. Peers: their released weights, measured on "
+        f"the same files. 5,000 to 80,000: {', '.join(SIX)}, sampled from the meshes.\n",
+        markdown(["", *header], rows),
+    ]
     for goal in GOALS:
         found = missed(reports, goal)
         parts.append(f"Not reached of \"{goal}\": {'; '.join(found) if found else 'nothing'}.\n")

@@ -8,8 +8,8 @@ import numpy as np
 
 
 def read_scan(path: Path) -> np.ndarray:
-    """[n,3] f64, finite points only: a depth camera writes NaN where it saw nothing. By the extension: .pcd, .las, .ply, else
-    text whose first three columns are coordinates. Fails with a ValueError on anything else."""
+    """[n,3] f64, finite points only: a depth camera writes NaN where it saw nothing. By the extension: .pcd, .las,
+    .ply, else text whose first three columns are coordinates. Fails with a ValueError on anything else."""
     readers = {".pcd": read_pcd, ".las": read_las, ".ply": read_text_ply}
     points = readers.get(path.suffix.lower(), read_columns)(path)
     return points[np.isfinite(points).all(axis=1)]
