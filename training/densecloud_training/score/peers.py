@@ -105,8 +105,8 @@ def text(reports: Dict[str, Report]) -> str:
     rows += [[name, *cells(triples)] for name, triples in {**PEERS, **GOALS}.items()]
     header = [f"{column} ({len(reports[column].rows)})" for column in COLUMNS]
     parts = [
-        "CD / HD / P2F as published, x 1e-3; in brackets the number of shapes. Peers: their released weights, measured on "
-        f"the same files. 5,000 to 80,000: {', '.join(SIX)}, sampled from the meshes.\n",
+        "CD / HD / P2F as published, x 1e-3; in brackets the number of shapes. Peers: their released weights, measured "
+        f"on the same files. 5,000 to 80,000: {', '.join(SIX)}, sampled from the meshes.\n",
         markdown(["", *header], rows),
     ]
     for goal in GOALS:
