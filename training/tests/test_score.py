@@ -216,7 +216,10 @@ def test_cleaning_removes_strays_and_noise_across_the_surface():
     stray = np.array([[1000.5, 1000.5, 3.0]])
     kept = cleaning.without_strays(np.concatenate([points, stray]))
     assert len(kept) > 900 and kept[:, 2].max() < 1
-    assert cleaning.onto_planes(points)[:, 2].std() < 0.4 * points[:, 2].std()
+    smooth = cleaning.onto_planes(points)
+    assert smooth[:, 2].std() < 0.4 * points[:, 2].std()
+    assert cleaning.roughness(points) == pytest.approx(0.01, rel=0.15)
+    assert cleaning.roughness(smooth) < 0.4 * cleaning.roughness(points)
 
 
 def test_voxels_leave_about_as_many_points_as_asked():

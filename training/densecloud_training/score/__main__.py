@@ -75,10 +75,9 @@ def run(arguments: argparse.Namespace) -> None:
         only: List[str] = arguments.shapes.split(",") if arguments.shapes else []
         write(out, "peers.md", peers.text(peers.evaluate(program, arguments.benchmark, out, only or None)))
     elif arguments.command == "noisy":
-        if arguments.scans:
-            print(noisy.draw(program, arguments.scans, out))
+        drawn = noisy.draw(program, arguments.scans, out) + "\n" if arguments.scans else ""
         inputs = held_out(arguments, program, noisy.SHAPES)
-        write(out, "noisy.md", noisy.text(noisy.evaluate(inputs), inputs.shapes))
+        write(out, "noisy.md", drawn + noisy.text(noisy.evaluate(inputs), inputs.shapes))
     elif arguments.command == "pictures":
         for view in pictures.views(arguments.names):
             picture = pictures.draw(program, view, arguments.scans, out)

@@ -31,11 +31,24 @@ def without_strays(points: np.ndarray, k: int = 8, deviations: float = 2.0) -> n
 def onto_planes(points: np.ndarray, k: int = 32) -> np.ndarray:
     """Each point moved onto the plane that fits its k nearest best: noise across the surface shrinks, and so do edges
     finer than the k points' patch."""
+    heights, normals = above_planes(points, k)
+    return points - heights[:, None] * normals
+
+
+def roughness(points: np.ndarray, k: int = 16, count: int = 9000, seed: int = 0) -> float:
+    """Root mean square distance of points from the planes of their k nearest, in the cloud's unit. Of `count` of the
+    points drawn at random: only clouds of the same density compare."""
+    drawn = points[np.random.default_rng(seed).permutation(len(points))[:count]]
+    return float(np.sqrt((above_planes(drawn, k)[0] ** 2).mean()))
+
+
+def above_planes(points: np.ndarray, k: int) -> Tuple[np.ndarray, np.ndarray]:
+    """Signed distance of each point from the plane that fits its k nearest best, and the plane's normal."""
     around = points[nearest(points, k)[1]]
     middle = around.mean(axis=1)
     spread = around - middle[:, None]
     normals = np.linalg.eigh(np.einsum("nki,nkj->nij", spread, spread))[1][:, :, 0]
-    return points - np.einsum("ni,ni->n", points - middle, normals)[:, None] * normals
+    return np.einsum("ni,ni->n", points - middle, normals), normals
 
 
 def voxel_means(points: np.ndarray, size: float) -> np.ndarray:

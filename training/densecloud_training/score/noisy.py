@@ -7,7 +7,7 @@ from typing import Dict, List
 import numpy as np
 
 from ..prepare import read_points
-from .cleaning import variants
+from .cleaning import roughness, variants
 from .inputs import Inputs, write_points
 from .pictures import RATIO, View, beside, find_scan
 from .program import Program
@@ -96,18 +96,21 @@ def text(results: List[Result], shapes: List[str]) -> str:
     ) + markdown(header, rows)
 
 
-def draw(program: Program, scans: Path, out: Path, view: View = VIEW) -> Path:
-    """One strip: the scan, and what it gives when upsampled after each of WAYS_DRAWN."""
+def draw(program: Program, scans: Path, out: Path, view: View = VIEW) -> str:
+    """One strip: the scan, and what it gives when upsampled after each of WAYS_DRAWN. Gives its name and how rough each
+    cloud in it is, in Markdown."""
     folder = out / "scans"
     folder.mkdir(parents=True, exist_ok=True)
     whole = crop(read_scan(find_scan(scans, view.scan)), view.low, view.high)
     random = np.random.default_rng(0)
     points = whole[np.sort(random.permutation(len(whole))[:SCAN_POINTS])]
     ways = variants(points)
-    clouds = []
+    clouds, rough = [], [f"in the scan {roughness(points):.3g}"]
     for number, way in enumerate(WAYS_DRAWN):
         sparse, dense = folder / f"{view.scan}-{number}.xyz", folder / f"{view.scan}-{number}.ply"
         write_points(sparse, ways[way])
         clouds += [sparse] if number == 0 else []
         clouds.append(program.upsample(sparse, dense, "--points", RATIO * len(points)))
-    return beside(program, clouds, view, out)
+        rough.append(f"{way} {roughness(read_points(dense)):.3g}")
+    picture = beside(program, clouds, view, out)
+    return f"{picture.name}: root mean square distance from the plane of 16 neighbours: {'; '.join(rough)}.\n"

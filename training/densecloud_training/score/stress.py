@@ -85,8 +85,8 @@ def text(steps: List[Step]) -> str:
     parts = [
         f"Mean of {shapes} held-out shapes, {POINTS:,} Poisson-disk points in, {POINTS_OUT:,} out. Chamfer (squared) / "
         "95th percentile of distances / two-sided distance to the surface, x 1e-3 in radii of the reference; then the "
-        "variation of the spacing (a dash: every point has a duplicate). Noise is Gaussian, by its deviation. Points are "
-        "removed at random; the ratio grows from 4 to 8 to give as many points.\n"
+        "variation of the spacing (a dash: every point has a duplicate). Noise is Gaussian, by its deviation. Points "
+        "are removed at random; the ratio grows from 4 to 8 to give as many points.\n"
     ]
     for sweep, axis in AXES.items():
         rows = [
