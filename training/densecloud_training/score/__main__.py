@@ -1,0 +1,95 @@
+"""The command line; `python -m densecloud_training.score --help`."""
+
+import argparse
+import json
+from pathlib import Path
+from typing import List, Sequence
+
+from ..clouds import validation_names
+from ..prepare import find_program
+from . import noisy, peers, pictures, stress, validation
+from .inputs import Inputs
+from .program import Program, ProgramError
+
+
+def parser() -> argparse.ArgumentParser:
+    """All commands and their options."""
+    common = argparse.ArgumentParser(add_help=False)
+    common.add_argument("--program", default="", help="the densecloud program [default: target/release, or the path]")
+    common.add_argument("--model", type=Path, help="folder of another model than the one inside the program")
+    common.add_argument("--threads", type=int, help="worker threads [default: one a processor]")
+    common.add_argument("--out", type=Path, required=True, help="folder for tables, and for what is made on the way")
+    common.add_argument("--shapes", help="only these, separated by commas: for a trial")
+    further = "a further option of `evaluate` and `upsample`: --option=--inner=0.7"
+    common.add_argument("--option", action="append", default=[], help=further)
+    meshes = argparse.ArgumentParser(add_help=False)
+    meshes.add_argument("--meshes", type=Path, required=True, help="folder that has the held-out meshes")
+
+    top = argparse.ArgumentParser(prog="densecloud_training.score", description="Scores of the finished program.")
+    commands = top.add_subparsers(dest="command", required=True)
+    commands.add_parser("validation", parents=[common, meshes], help="held-out shapes, beside the controls")
+    commands.add_parser("stress", parents=[common, meshes], help="curves over noise and over removed points")
+    found = commands.add_parser("peers", parents=[common], help="the PU-GAN benchmark, beside other networks")
+    found.add_argument("--benchmark", type=Path, required=True, help="folder with mesh/, input_*/ and reference_*/")
+    found = commands.add_parser("noisy", parents=[common, meshes], help="what cleaning before upsampling gains")
+    found.add_argument("--scans", type=Path, help="folder of scans: draws one of them too, cleaned in each way")
+    found = commands.add_parser("pictures", parents=[common], help="before and after, of real scans")
+    found.add_argument("--scans", type=Path, required=True, help="folder of scans")
+    found.add_argument("names", nargs="*", help=f"of: {' '.join(view.scan for view in pictures.VIEWS)}")
+    return top
+
+
+def held_out(arguments: argparse.Namespace, program: Program, usual: Sequence[str] = ()) -> Inputs:
+    """The held-out shapes that were asked for; else the `usual` ones; else all."""
+    names = validation_names()
+    if usual and not arguments.shapes:
+        names = list(usual)
+    if arguments.shapes:
+        asked = arguments.shapes.split(",")
+        unknown = sorted(set(asked) - set(names))
+        if unknown:
+            raise SystemExit(f"not held out: {', '.join(unknown)}; there are: {', '.join(names)}")
+        names = [name for name in names if name in asked]
+    return Inputs(program, arguments.meshes, arguments.out, names)
+
+
+def write(out: Path, name: str, text: str) -> None:
+    """Keeps a table, and prints it."""
+    (out / name).write_text(text)
+    print(text)
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Runs one command."""
+    out: Path = arguments.out
+    out.mkdir(parents=True, exist_ok=True)
+    program = Program(find_program(arguments.program), arguments.model, arguments.threads, arguments.option)
+    if arguments.command == "validation":
+        write(out, "validation.md", validation.text(validation.evaluate(held_out(arguments, program))))
+    elif arguments.command == "stress":
+        steps = stress.evaluate(held_out(arguments, program))
+        (out / "stress.json").write_text(json.dumps(stress.as_json(steps), indent=1) + "\n")
+        stress.draw(steps, out / "stress.png")
+        write(out, "stress.md", stress.text(steps))
+    elif arguments.command == "peers":
+        only: List[str] = arguments.shapes.split(",") if arguments.shapes else []
+        write(out, "peers.md", peers.text(peers.evaluate(program, arguments.benchmark, out, only or None)))
+    elif arguments.command == "noisy":
+        drawn = noisy.draw(program, arguments.scans, out) + "\n" if arguments.scans else ""
+        inputs = held_out(arguments, program, noisy.SHAPES)
+        write(out, "noisy.md", drawn + noisy.text(noisy.evaluate(inputs), inputs.shapes))
+    elif arguments.command == "pictures":
+        for view in pictures.views(arguments.names):
+            picture = pictures.draw(program, view, arguments.scans, out)
+            print(f"{picture}: {picture.stat().st_size / 1024:.0f} KiB")
+
+
+def main() -> None:
+    try:
+        run(parser().parse_args())
+    except ProgramError as error:
+        raise SystemExit(f"failed: {error}") from error
+
+
+if __name__ == "__main__":
+    main()

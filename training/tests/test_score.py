@@ -1,0 +1,276 @@
+"""The scores' pure parts: no program, no meshes."""
+
+import math
+import struct
+
+import numpy as np
+import pytest
+
+from densecloud_training.clouds import validation_names
+from densecloud_training.score import __main__ as command
+from densecloud_training.score import cleaning, inputs, noisy, peers, pictures, report, scans, stress, table, validation
+from densecloud_training.score.program import Program, ProgramError
+
+
+def row(shape: str, method: str, cd: float, surface: float, variation) -> dict:
+    return {
+        "shape": shape,
+        "method": method,
+        "published": {"chamfer": cd, "hausdorff": 0.002, "point_to_face": 0.003},
+        "corrected": {
+            "chamfer": cd / 2,
+            "hausdorff": 0.03,
+            "hausdorff_95": 0.02,
+            "to_surface": surface,
+            "from_surface": 0.01,
+            "f_score": 0.5,
+            "spacing_variation": variation,
+        },
+    }
+
+
+def evaluation(prediction: tuple, midpoints: tuple = (0.0005, 0.004, 0.1)) -> report.Report:
+    """Two shapes; the first has the scores given (CD, distance to the surface, spacing), the second beats all."""
+    rows = []
+    for shape, ours in (("cow", prediction), ("cup", (0.0003, 0.001, 0.05))):
+        rows.append(row(shape, "prediction", *ours))
+        rows.append(row(shape, "floor", 0.0002, 0.0, 0.04))
+        rows.append(row(shape, "repeat", 0.001, 0.0, None))
+        rows.append(row(shape, "midpoints", *midpoints))
+    # Repeated input is far from the surface's points, as it is in truth.
+    for made in rows[2::4]:
+        made["corrected"]["from_surface"] = 0.02
+    return report.parse({"rows": rows})
+
+
+def test_a_report_is_read_and_averaged():
+    found = evaluation((0.0005, 0.003, 0.25))
+    means = found.means()
+    assert list(means) == ["prediction", "floor", "repeat", "midpoints"]
+    assert means["prediction"]["cd"] == pytest.approx(0.0004)
+    assert means["prediction"]["two_sided"] == pytest.approx((0.013 + 0.011) / 4)
+    assert means["repeat"]["spacing_variation"] == math.inf
+
+
+@pytest.mark.parametrize("content", [{}, {"rows": []}, {"rows": [{"shape": "cow"}]}, {"rows": None}])
+def test_what_is_no_report_is_refused(content):
+    with pytest.raises(ValueError, match="report"):
+        report.parse(content)
+
+
+def test_a_report_without_surface_distances_is_refused():
+    made = row("cow", "prediction", 0.1, 0.1, 0.1)
+    made["published"]["point_to_face"] = None
+    with pytest.raises(ValueError, match="--mesh"):
+        report.parse({"rows": [made]})
+
+
+def test_tables_have_as_many_cells_as_their_header():
+    assert table.markdown(["a", "b"], [["1", "2"]]) == "| a | b |\n| --- | --- |\n| 1 | 2 |\n"
+    with pytest.raises(ValueError, match="3 cells"):
+        table.markdown(["a", "b"], [["1", "2", "3"]])
+    assert table.thousandths(0.00024) == "0.240"
+    assert table.plain(math.inf) == "-"
+
+
+def test_every_check_finds_its_loss():
+    assert validation.losses(evaluation((0.0003, 0.001, 0.05))) == []
+    found = {(lost.shape, lost.check, lost.control) for lost in validation.losses(evaluation((0.0006, 0.005, 0.2)))}
+    assert found == {("cow", check, "midpoints") for check in validation.CHECKS}
+    # As good is not better.
+    equal = validation.losses(evaluation((0.0005, 0.004, 0.1)))
+    assert [lost.check for lost in equal] == list(validation.CHECKS)
+    assert equal[0].ours == pytest.approx(0.0003)  # above the floor
+
+
+def test_repeated_input_wins_by_distances_but_never_by_spacing():
+    # On an input so dense that midpoints and network only add error.
+    found = validation.losses(evaluation((0.0012, 0.0301, 9.0), midpoints=(0.002, 0.1, 10.0)))
+    assert {(lost.check, lost.control) for lost in found} == {
+        ("excess CD", "repeat"),
+        ("excess chamfer", "repeat"),
+        ("two-sided distance", "repeat"),
+    }
+
+
+def test_the_validation_table_tells_where_the_network_loses():
+    losing, winning = evaluation((0.0006, 0.005, 0.2)), evaluation((0.0003, 0.001, 0.05))
+    must = next(s for s in validation.SETTINGS if s.must)
+    other = next(s for s in validation.SETTINGS if not s.must)
+    text = validation.text({must: losing, other: winning})
+    assert "| 1 of 2 | 1 of 2 | 1 of 2 | 1 of 2 | 1 of 2 |" in text
+    assert "| 2 of 2 | 2 of 2 | 2 of 2 | 2 of 2 | 2 of 2 |" in text
+    assert "0.20 against 0.10 (midpoints)" in text
+    assert "Where it is not" not in validation.text({must: winning})
+
+
+def test_removal_is_exact_nested_and_repeatable():
+    points = np.arange(300.0).reshape(100, 3)
+    less, more = inputs.remove(points, 0.2, 7), inputs.remove(points, 0.5, 7)
+    assert (len(less), len(more)) == (80, 50)
+    assert np.array_equal(less, inputs.remove(points, 0.2, 7))
+    assert np.all(np.diff(less[:, 0]) > 0)
+    assert {tuple(p) for p in more} < {tuple(p) for p in less}
+    assert not np.array_equal(less, inputs.remove(points, 0.2, 8))
+    for share in (-0.1, 1.0):
+        with pytest.raises(ValueError, match="share"):
+            inputs.remove(points, share, 0)
+
+
+def test_the_ratio_gives_the_same_count_from_whatever_is_left():
+    for share in stress.REMOVED:
+        left = inputs.remaining(stress.POINTS, share)
+        assert len(inputs.remove(np.zeros((stress.POINTS, 3)), share, 0)) == left
+        assert round(float(repr(stress.POINTS_OUT / left)) * left) == stress.POINTS_OUT
+
+
+def test_stress_has_a_table_a_json_without_infinities_and_a_picture(tmp_path):
+    steps = [stress.Step(sweep, s, evaluation((0.0006, 0.005, 0.2))) for sweep in stress.AXES for s in (0.0, 0.1)]
+    assert stress.text(steps).count("\n| 10 |") == 2
+    entry = stress.as_json(steps)[0]
+    assert entry["means"]["repeat"]["spacing_variation"] is None
+    assert entry["shapes"]["cow"]["prediction"]["cd"] == 0.0006
+    stress.draw(steps, tmp_path / "stress.png")
+    assert (tmp_path / "stress.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_peers_have_all_columns_and_goals_are_checked():
+    width = len(peers.COLUMNS)
+    assert all(len(triples) == width for triples in {**peers.PEERS, **peers.GOALS}.values())
+    reports = {column: evaluation((0.0003, 0.001, 0.05)) for column in peers.COLUMNS}
+    text = peers.text(reports)
+    assert "| **densecloud** | 0.300 / 2.00 / 3.00 |" in text
+    missed = peers.missed(reports, "must")
+    assert "4x, even: CD 0.300, must 0.24" in missed
+    assert not any(line.startswith("4x, random: CD") for line in missed)
+
+
+def test_pcd_bodies_of_all_kinds_are_read():
+    header = {
+        "FIELDS": ["rgb", "x", "y", "z"],
+        "SIZE": ["4"] * 4,
+        "TYPE": ["U", "F", "F", "F"],
+        "COUNT": ["1"] * 4,
+        "POINTS": ["2"],
+    }
+    expected = [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]
+    text = b"9 1 2 3\n9 4 5 6\n"
+    assert scans.decode_pcd({**header, "DATA": ["ascii"]}, text).tolist() == expected
+    packed = struct.pack("<IfffIfff", 9, 1, 2, 3, 9, 4, 5, 6)
+    assert scans.decode_pcd({**header, "DATA": ["binary"]}, packed).tolist() == expected
+    columns = struct.pack("<IIffffff", 9, 9, 1, 4, 2, 5, 3, 6)
+    body = struct.pack("<II", 33, 32) + bytes([31]) + columns
+    assert scans.decode_pcd({**header, "DATA": ["binary_compressed"]}, body).tolist() == expected
+
+
+def test_lzf_copies_may_overlap_and_damage_is_found():
+    # "ab" literally, then 9 bytes from 2 back (length 7 + 0 + 2).
+    assert scans.decompress(bytes([1, 97, 98, 7 << 5, 0, 1]), 11) == b"abababababa"
+    with pytest.raises(ValueError, match="in place of"):
+        scans.decompress(bytes([1, 97, 98]), 3)
+    with pytest.raises(ValueError, match="before the start"):
+        scans.decompress(bytes([1, 97, 98, 1 << 5, 9]), 5)
+
+
+def test_las_text_and_ply_are_read(tmp_path):
+    las = bytearray(227)
+    las[:4] = b"LASF"
+    las[24:26] = bytes([1, 2])
+    struct.pack_into("<IIBHI", las, 96, 227, 0, 0, 20, 1)
+    struct.pack_into("<6d", las, 131, 0.01, 0.01, 0.1, 100.0, 200.0, 0.0)
+    (tmp_path / "a.las").write_bytes(bytes(las) + struct.pack("<iii", 100, -100, 5) + bytes(8))
+    assert scans.read_scan(tmp_path / "a.las") == pytest.approx(np.array([[101.0, 199.0, 0.5]]))
+    (tmp_path / "a.xyz").write_text("2\n1 2 3 9\nnan 0 0 9\n")
+    assert scans.read_scan(tmp_path / "a.xyz").tolist() == [[1.0, 2.0, 3.0]]
+    properties = "".join(f"property float {axis}\n" for axis in "xyz")
+    (tmp_path / "a.ply").write_text(f"ply\nformat ascii 1.0\nelement vertex 1\n{properties}end_header\n4 5 6\n")
+    assert scans.read_scan(tmp_path / "a.ply").tolist() == [[4.0, 5.0, 6.0]]
+    (tmp_path / "b.las").write_bytes(b"PK")
+    with pytest.raises(ValueError, match="not a LAS"):
+        scans.read_scan(tmp_path / "b.las")
+
+
+def test_a_crop_is_in_shares_of_the_box():
+    points = np.array([[0.0, 0, 0], [5, 5, 5], [10, 10, 10]])
+    assert scans.crop(points, (0, 0, 0), (0.5, 0.5, 0.5)).tolist() == [[0, 0, 0], [5, 5, 5]]
+
+
+def plane_with_noise(count: int, noise: float) -> np.ndarray:
+    random = np.random.default_rng(0)
+    points = random.uniform(0, 1, (count, 3)) + 1000
+    points[:, 2] = random.normal(0, noise, count)
+    return points
+
+
+def test_neighbours_are_those_of_the_definition():
+    points = np.random.default_rng(1).normal(size=(300, 3))
+    distances, found = cleaning.nearest(points, 5)
+    every = np.linalg.norm(points[:, None] - points, axis=2)
+    np.fill_diagonal(every, np.inf)
+    assert np.array_equal(found, np.argsort(every, axis=1)[:, :5])
+    assert distances == pytest.approx(np.sort(every, axis=1)[:, :5], abs=1e-5)
+
+
+def test_cleaning_removes_strays_and_noise_across_the_surface():
+    points = plane_with_noise(1000, 0.01)
+    stray = np.array([[1000.5, 1000.5, 3.0]])
+    kept = cleaning.without_strays(np.concatenate([points, stray]))
+    assert len(kept) > 900 and kept[:, 2].max() < 1
+    smooth = cleaning.onto_planes(points)
+    assert smooth[:, 2].std() < 0.4 * points[:, 2].std()
+    assert cleaning.roughness(points) == pytest.approx(0.01, rel=0.15)
+    assert cleaning.roughness(smooth) < 0.4 * cleaning.roughness(points)
+
+
+def test_voxels_leave_about_as_many_points_as_asked():
+    points = plane_with_noise(2000, 0.0)
+    left = cleaning.thinned(points, 500)
+    assert 450 <= len(left) <= 500
+    assert cleaning.voxel_means(points, 10.0).tolist() == [pytest.approx(points.mean(0))]
+    ways = cleaning.variants(points)
+    assert ways["as it is"] is points
+    assert set(noisy.WAYS_DRAWN) <= set(ways)
+
+
+def test_strays_are_added_in_the_box():
+    points = plane_with_noise(1000, 0.01)
+    more = noisy.with_strays(points, 0.01, 0)
+    assert len(more) == 1010
+    assert np.array_equal(more[:1000], points)
+    assert (more.min(0) >= points.min(0)).all() and (more.max(0) <= points.max(0)).all()
+
+
+def test_views_are_chosen_by_name():
+    assert [v.scan for v in pictures.views(["pcl_milk", "cgal_oni"])] == ["pcl_milk", "cgal_oni"]
+    assert len(pictures.views([])) == 6
+    with pytest.raises(SystemExit, match="no view"):
+        pictures.views(["nothing"])
+
+
+def test_the_program_is_told_once_and_its_failures_are_shown(tmp_path):
+    """A stand-in for the program: it notes its calls, and knows one command."""
+    script = tmp_path / "program"
+    known = '[ "$1" = sample ] || { echo "no $1" >&2; exit 1; }'
+    script.write_text(f'#!/bin/sh\n{known}\necho "$@" >> "$0.log"\necho 1 > "$3"\n')
+    script.chmod(0o755)
+    mesh = tmp_path / "cow.ply"
+    mesh.write_text("a mesh")
+    program = Program(str(script))
+    for _ in range(2):
+        assert program.sample(mesh, tmp_path / "out/cow.ply", 10, 3, "--noise", 0.01).read_text() == "1\n"
+    calls = (tmp_path / "program.log").read_text().splitlines()
+    assert len(calls) == 1 and calls[0].endswith("--points 10 --seed 3 --noise 0.01")
+    with pytest.raises(ProgramError, match="no render"):
+        program.run("render")
+
+
+def test_the_command_line_knows_the_held_out_shapes(tmp_path):
+    names = validation_names()
+    common = ["--meshes", "meshes", "--out", str(tmp_path)]
+    program = Program("densecloud")
+    every = command.held_out(command.parser().parse_args(["validation", *common]), program)
+    assert every.shapes == names
+    some = command.parser().parse_args(["stress", *common, "--shapes", f"{names[3]},{names[1]}"])
+    assert command.held_out(some, program).shapes == [names[1], names[3]]
+    with pytest.raises(SystemExit, match="not held out: cow"):
+        command.held_out(command.parser().parse_args(["stress", *common, "--shapes", "cow"]), program)
