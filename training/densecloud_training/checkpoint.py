@@ -7,7 +7,9 @@ from typing import Any, Dict, Tuple
 
 import torch
 
+from .config import Switches
 from .network import Cascade
+from .variants import build_cascade
 
 VERSION = 1
 FILE = "checkpoint.pt"
@@ -40,7 +42,7 @@ def load_cascade(path: Path) -> Tuple[Cascade, Dict[str, Any], int]:
     """
     state = load(path / FILE if path.is_dir() else path)
     config, counters = state["config"], state["counters"]
-    cascade = Cascade(config["levels"], config["k"])
+    cascade = build_cascade(config["levels"], config["k"], Switches(**config.get("unit", {})))
     cascade.load_state_dict(state.get("averaged", state["cascade"]))
     trained = config["levels"]
     if counters["round"] == 0 and counters["stage_index"] < len(config["stages"]):
