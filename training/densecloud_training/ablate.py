@@ -1,11 +1,11 @@
 """Trains variants for the same short budget and tables their held-out scores.
 
-`python -m densecloud_training.ablate --data CLOUDS --out FOLDER --minutes M [--only NAME,...]` writes `FOLDER/table.md` and
-`FOLDER/table.json` after each variant, and skips the variants that are there already.
+`python -m densecloud_training.ablate --data CLOUDS --out FOLDER --minutes M [--only NAME,...]` writes
+`FOLDER/table.md` and `FOLDER/table.json` after each variant, and skips the variants that are there already.
 
-Group "paper" is the method's own ablations on two units (4x); group "unit" is other forms of one unit (2x). Every variant
-starts from the same seed and sees the same batches as long as its schedule draws the same ratios. The budget is of the
-processor's time on one thread, so that what else runs on the machine changes little.
+Group "paper" is the method's own ablations on two units (4x); group "unit" is other forms of one unit (2x). Every
+variant starts from the same seed and sees the same batches as long as its schedule draws the same ratios. The budget is
+of the processor's time on one thread, so that what else runs on the machine changes little.
 """
 
 import argparse
@@ -163,14 +163,14 @@ class Scorer:
 
 
 def to_surface(result: Result) -> float:
-    """Mean distance of the predictions to the densest cloud of the shape, in patch radii: it stands in for the distance to
-    the surface, and has a floor of about half that cloud's spacing."""
+    """Mean distance of the predictions to the densest cloud of the shape, in patch radii: it stands in for the distance
+    to the surface, and has a floor of about half that cloud's spacing."""
     distances = nearest_distances(result.prediction, result.reference).to_reference.sqrt()
     return masked_mean(distances, result.prediction_inside, None).mean().item()
 
 
 def variation(result: Result) -> float:
-    """Coefficient of variation of the distance to the nearest other prediction, within a patch's interior; mean of patches."""
+    """Coefficient of variation of the distance to the nearest other prediction in a patch's interior, by patch."""
     prediction = result.prediction
     partners = gather_rows(prediction, nearest_others(prediction, 1)).squeeze(2)
     distances = (prediction - partners).norm(dim=-1)

@@ -62,7 +62,7 @@ class EdgeBlock(nn.Module):
         # c's share of the point itself is the same for every neighbour, so it is added after the maximum.
         if native.usable(features) and self.growth == native.GROWTH:
             to_b, to_c = on_a.split(self.growth, dim=1)
-            maxima = native.EdgeMaxima.apply(own_a, own_b, other, to_b, to_c, on_b, indices)
+            maxima = native.EdgeMaxima.apply(own_a, own_b, other, to_b, to_c, on_b, indices.int())
             return torch.cat([maxima[..., : self.growth] + own_c, maxima[..., self.growth :], features], dim=-1)
         a = functional.relu(own_a.unsqueeze(2) + gather_rows(other, indices))
         on_b_and_c = a @ on_a

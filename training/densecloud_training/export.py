@@ -27,8 +27,8 @@ def export_units(cascade: network.Cascade, folder: Path) -> List[Path]:
     for unit in cascade.units:
         if type(unit) is not network.Unit:
             raise ValueError(
-                f"units with {getattr(unit, 'switches', type(unit).__name__)} cannot be written: the ONNX graph is that "
-                "of the plain unit. Train without these settings of [unit], or run this checkpoint in PyTorch"
+                f"units with {getattr(unit, 'switches', type(unit).__name__)} cannot be written: the ONNX graph is "
+                "that of the plain unit. Train without these settings of [unit], or run this checkpoint in PyTorch"
             )
     folder.mkdir(parents=True, exist_ok=True)
     paths = []

@@ -57,7 +57,8 @@ def chamfer(
     """Modified Chamfer distance [B]: both directed means of squared nearest distances, added.
 
     `keep_*` [B,P], [B,Q] leave out points whose counterpart may lie beyond the other cloud's border. `surface` weights
-    the direction from the prediction to the reference: how far points are off the surface, against how well they cover it.
+    the direction from the prediction to the reference: how far points are off the surface, against how well they cover
+    it.
     """
     nearest = nearest_distances(prediction, reference)
     return surface * masked_mean(nearest.to_reference, keep_prediction, outlier_threshold) + masked_mean(

@@ -2,8 +2,8 @@
 
 * `neighbours = "space"`: the first edge block takes each point's nearest by coordinates instead of by features;
   `"space-shared"`: so do all blocks, which then search once a patch.
-* `code = "learned"`: the two values that tell a point's copies apart are parameters. (The plain unit's codes are constants
-  times a learned column of weights, so both forms can express the same functions; they learn at different rates.)
+* `code = "learned"`: the two values that tell a point's copies apart are parameters. (The plain unit's codes are
+  constants times a learned column of weights, so both forms express the same functions; they learn at other rates.)
 * `start = "midpoints"`: the second copy starts halfway to a neighbour; see `partners`.
 * `skip = false`: nothing is taken from the level before.
 * `shared = true`: one unit serves all levels. The skip has no weights, so it stays.
@@ -31,8 +31,8 @@ def build_cascade(levels: int, k: int, switches: Switches) -> Cascade:
 
 
 class VariantUnit(Unit):
-    """A unit with other neighbours, codes, starting positions or without the skip; parameters as in `Unit`, and two more
-    for learned codes."""
+    """A unit with other neighbours, codes, starting positions or without the skip; parameters as in `Unit`, and two
+    more for learned codes."""
 
     def __init__(self, k: int, switches: Switches):
         super().__init__(k)
@@ -77,9 +77,9 @@ class VariantUnit(Unit):
 def partners(points: torch.Tensor) -> torch.Tensor:
     """[B,N,3] -> [B,N,1]: the neighbour that each point starts its second copy halfway to.
 
-    Of a point's 6 nearest, those ahead of it in a fixed direction: so of two points only one can choose the other, and no
-    two copies start at one place. Of these the one whose midpoint is farthest from all 6: it lies in the widest gap. Where
-    none is ahead (at a border), the same choice among all 6.
+    Of a point's 6 nearest, those ahead of it in a fixed direction: so of two points only one can choose the other, and
+    no two copies start at one place. Of these the one whose midpoint is farthest from all 6: it lies in the widest gap.
+    Where none is ahead (at a border), the same choice among all 6.
     """
     indices = nearest_others(points, MIDPOINT_CANDIDATES).long()
     centres = points.unsqueeze(2)
