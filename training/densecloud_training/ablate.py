@@ -10,6 +10,7 @@ of the processor's time on one thread, so that what else runs on the machine cha
 
 import argparse
 import json
+import random
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -20,20 +21,22 @@ import torch
 from . import checkpoint as checkpoints
 from . import clouds as cloud_sets
 from . import config as configs
-from .config import Config, Switches
+from .config import Config, Data, Switches
 from .edge import gather_rows, nearest_others
 from .levels import Result, Step
 from .loss import masked_mean, nearest_distances
 from .network import normalise
+from .patches import PatchSource
 from .train import Trainer, device_named
 from .validation import Validation, midpoint, repeat
 
+TABLE = "table.json"
 AVERAGE = 0.99  # a few thousand steps have no use for a mean over the last thousand
 UNIFORMITY = 1.0
 SURFACE = 2.0
 INTERIOR = 0.7  # of a patch's radius: nearer to the border, points lack neighbours
 DENSEST = 16  # more doublings than any ladder has
-TIMED = 20
+TIMED, TIMED_BATCH = 40, 8
 
 
 class Variant(NamedTuple):
@@ -115,7 +118,7 @@ def config_of(base: Config, name: str) -> Config:
 
 def train(config: Config, clouds: cloud_sets.Clouds, seconds: float) -> Trainer:
     """Runs the config's whole schedule in `seconds`."""
-    clock = time.process_time if clouds.device.type == "cpu" else time.monotonic
+    clock = clock_of(clouds.device)
     trainer = Trainer(config, clouds, seconds)
     # Cascades of fewer parameters have drawn fewer numbers: from here on all draw the same batches.
     torch.manual_seed(config.seed)
@@ -129,6 +132,11 @@ def train(config: Config, clouds: cloud_sets.Clouds, seconds: float) -> Trainer:
         if trainer.progress() >= 1:
             trainer.leave_stage()
     return trainer
+
+
+def clock_of(device: torch.device) -> Callable[[], float]:
+    """Seconds of this process on the CPU; of the wall elsewhere."""
+    return time.process_time if device.type == "cpu" else time.monotonic
 
 
 class Scorer:
@@ -150,17 +158,6 @@ class Scorer:
         """Of rules that learn nothing."""
         return {rule.__name__: self.scores([rule] * self.levels) for rule in (midpoint, repeat)}
 
-    @torch.no_grad()
-    def milliseconds(self, unit: torch.nn.Module) -> float:
-        """A unit's forward pass on one patch of a batch of 8: the least of several tries."""
-        points = normalise(self.matched.batches["even"][0].points[:8])[0]
-        times = []
-        for _ in range(TIMED):
-            start = time.process_time()
-            unit(points)
-            times.append(time.process_time() - start)
-        return 1e3 * min(times) / len(points)
-
 
 def to_surface(result: Result) -> float:
     """Mean distance of the predictions to the densest cloud of the shape, in patch radii: it stands in for the distance
@@ -180,6 +177,21 @@ def variation(result: Result) -> float:
     return (spread / mean.clamp_min(1e-12)).mean().item()
 
 
+@torch.no_grad()
+def milliseconds(units: Dict[str, torch.nn.Module], clouds: cloud_sets.Clouds, patch: int) -> Dict[str, float]:
+    """Each unit's forward pass on one patch of a batch: the least of several tries. They take turns, so that a machine
+    that is busy for a while is so for all of them."""
+    points = normalise(PatchSource(clouds, Data(), patch, random.Random(0)).draw(1, TIMED_BATCH).points)[0]
+    clock = clock_of(clouds.device)
+    least = dict.fromkeys(units, float("inf"))
+    for _ in range(TIMED):
+        for name, unit in units.items():
+            start = clock()
+            float(unit(points).dense[0, 0, 0])  # on a GPU, waits for the result
+            least[name] = min(least[name], 1e3 * (clock() - start) / len(points))
+    return least
+
+
 def row_of(name: str, trainer: Trainer, scorer: Scorer) -> Dict[str, Any]:
     """What the table keeps of a variant, at the mean of its weights."""
     units = list(trainer.averaged.units)
@@ -188,12 +200,19 @@ def row_of(name: str, trainer: Trainer, scorer: Scorer) -> Dict[str, Any]:
         "says": VARIANTS[name].says,
         "scores": scorer.scores(units),
         "parameters": sum(parameter.numel() for parameter in trainer.averaged.parameters()),
-        "milliseconds": scorer.milliseconds(units[0]),
         "steps": trainer.step,
         "seconds": trainer.seconds,
         "stages": trainer.history,
         "seed": trainer.config.seed,
     }
+
+
+def save(table: Dict[str, Any], folder: Path) -> None:
+    """Both forms; the one that is read again is replaced as a whole."""
+    temporary = folder / "table.tmp"
+    temporary.write_text(json.dumps(table, indent=1))
+    temporary.replace(folder / TABLE)
+    (folder / "table.md").write_text(markdown(table))
 
 
 def markdown(table: Dict[str, Any]) -> str:
@@ -209,10 +228,10 @@ def markdown(table: Dict[str, Any]) -> str:
         heads = ["variant", "", *heads, "parameters", "ms", "steps"]
         lines += [f"## {group}", "", "| " + " | ".join(heads) + " |", "|---" * len(heads) + "|"]
         for name, row in rows.items():
-            end = [f"{row['parameters']:,}", f"{row['milliseconds']:.2f}", f"{row['steps']:,}"]
+            end = [f"{row['parameters']:,}", f"{row.get('milliseconds', 0):.2f}", f"{row['steps']:,}"]
             lines.append(line([name, row["says"], *cells(row["scores"], ratios), *end]))
         for name, scores in table["controls"].get(group, {}).items():
-            lines.append(line([name, "rule that learns nothing", *cells(scores, ratios), "0", "", ""]))
+            lines.append(line([f"rule: {name}", "learns nothing", *cells(scores, ratios), "0", "", ""]))
         lines.append("")
     return "\n".join(lines)
 
@@ -253,7 +272,7 @@ def main(values: Optional[List[str]] = None) -> None:
     torch.set_num_threads(arguments.threads)
     device, base = device_named(arguments.device), configs.load(arguments.config)
     settings = {"minutes": arguments.minutes, "patches": arguments.patches, "config": base.as_dict()}
-    file = arguments.out / "table.json"
+    file = arguments.out / TABLE
     table = {**settings, "rows": {}, "controls": {}}
     if file.exists():
         table = json.loads(file.read_text())
@@ -273,11 +292,13 @@ def main(values: Optional[List[str]] = None) -> None:
         trainer = train(config, training, 60 * arguments.minutes)
         checkpoints.save(arguments.out / name / checkpoints.FILE, trainer.state())
         table["rows"][name] = row_of(name, trainer, scorers[group])
-        temporary = file.with_suffix(".tmp")
-        temporary.write_text(json.dumps(table, indent=1))
-        temporary.replace(file)
-        (arguments.out / "table.md").write_text(markdown(table))
+        save(table, arguments.out)
         print(f"{name}: {trainer.step} steps, {json.dumps(table['rows'][name]['scores'])}", flush=True)
+    cascades = {name: checkpoints.load_cascade(arguments.out / name)[0].to(device) for name in table["rows"]}
+    units = {name: cascade.units[0] for name, cascade in cascades.items()}
+    for name, value in milliseconds(units, held_out, base.patch).items():
+        table["rows"][name]["milliseconds"] = value
+    save(table, arguments.out)
 
 
 if __name__ == "__main__":
