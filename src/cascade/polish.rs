@@ -4,7 +4,8 @@
 //! candidates that stand off the surface. So the last level's sample is only the start: the
 //! midpoints of its neighbours, which average two errors and lie in its gaps, are sampled again,
 //! points that are too near push each other apart, and each is projected onto the moving least
-//! squares surface of all that the unit made. Coarser levels go without: there a chord cuts a curve that the next unit would follow.
+//! squares surface of all that the unit made. Coarser levels go without: there a chord cuts a curve
+//! that the next unit would follow.
 
 use rayon::prelude::*;
 
@@ -165,8 +166,8 @@ mod tests {
 
     #[test]
     fn sheets_are_not_bridged() {
-        // Sheets 0.035 apart: with a spacing of 0.022 that is nearer than some neighbours in a sheet. What
-        // is left are edges of less than 45 degrees.
+        // Sheets 0.035 apart: with a spacing of 0.022 that is nearer than some neighbours in a
+        // sheet. What is left are edges of less than 45 degrees.
         let even = |height: f32, seed| -> Vec<Point> {
             let all = square(8000, height, seed);
             farthest_point_sampling(&all, 2000, 0).iter().map(|&i| all[i as usize]).collect()

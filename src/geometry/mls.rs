@@ -71,8 +71,8 @@ fn foot(point: Point, support: &[Point], near: &[Neighbour]) -> Point {
         }
     }
     let scale = (0..TERMS).map(|i| matrix[i][i]).sum::<f64>() / TERMS as f64;
-    for i in 0..TERMS {
-        matrix[i][i] += 1e-9 * scale;
+    for (i, row) in matrix.iter_mut().enumerate() {
+        row[i] += 1e-9 * scale;
     }
     // Half for the mixed term, so that the penalty does not depend on how u and v lie.
     for (i, share) in [(3, 1.0), (4, 0.5), (5, 1.0)] {

@@ -7,7 +7,9 @@ from typing import Any, Dict, Tuple
 
 import torch
 
+from .config import Switches
 from .network import Cascade
+from .variants import build_cascade
 
 VERSION = 1
 FILE = "checkpoint.pt"
@@ -34,13 +36,14 @@ def load(path: Path) -> Dict[str, Any]:
 
 
 def load_cascade(path: Path) -> Tuple[Cascade, Dict[str, Any], int]:
-    """The cascade of a checkpoint (the mean of its weights), or of a folder that holds one; the checkpoint; and how many units have been trained.
+    """The cascade of a checkpoint, or of a folder that holds one (mean weights), the checkpoint, and how many units are
+    trained.
 
     Units that the schedule has not reached are copies of the last one that it has: what a warm start would begin with.
     """
     state = load(path / FILE if path.is_dir() else path)
     config, counters = state["config"], state["counters"]
-    cascade = Cascade(config["levels"], config["k"])
+    cascade = build_cascade(config["levels"], config["k"], Switches(**config.get("unit", {})))
     cascade.load_state_dict(state.get("averaged", state["cascade"]))
     trained = config["levels"]
     if counters["round"] == 0 and counters["stage_index"] < len(config["stages"]):

@@ -49,6 +49,30 @@ class Loss:
     outliers_from: List[float] = field(default_factory=lambda: [2.0, 0.6, 0.6, 0.6])
     borders: bool = False
     balance: float = 0.0
+    surface: float = 1.0
+    uniformity: float = 0.0
+
+
+@dataclass
+class Switches:
+    """What a unit does; the defaults are the plain unit, the only one that the ONNX files hold (see `variants`)."""
+
+    neighbours: str = "features"
+    code: str = "fixed"
+    start: str = "copies"
+    skip: bool = True
+    shared: bool = False
+
+    CHOICES = {
+        "neighbours": ("features", "space", "space-shared"),
+        "code": ("fixed", "learned"),
+        "start": ("copies", "midpoints"),
+    }
+
+    def __post_init__(self):
+        for name, choices in self.CHOICES.items():
+            if getattr(self, name) not in choices:
+                raise ValueError(f"unit.{name} = {getattr(self, name)!r}: must be one of {', '.join(choices)}")
 
 
 @dataclass
@@ -67,6 +91,7 @@ class Config:
     ratio_draw: List[float] = field(default_factory=lambda: [1.0, 2.0, 3.0, 4.0])
     data: Data = field(default_factory=Data)
     loss: Loss = field(default_factory=Loss)
+    unit: Switches = field(default_factory=Switches)
     stages: List[Stage] = field(default_factory=list)
     extension: List[Stage] = field(default_factory=list)
 
@@ -90,6 +115,7 @@ def from_dict(values: dict) -> Config:
         raise ValueError(f"unknown settings: {', '.join(sorted(unknown))}; known: {', '.join(sorted(known))}")
     values["data"] = Data(**values.get("data", {}))
     values["loss"] = Loss(**values.get("loss", {}))
+    values["unit"] = Switches(**values.get("unit", {}))
     for schedule in ("stages", "extension"):
         values[schedule] = [Stage(**stage) for stage in values.get(schedule, [])]
     return Config(**values)

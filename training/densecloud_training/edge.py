@@ -5,6 +5,8 @@ compare with; `EdgeBlock.forward` is what runs: linear maps are split so that no
 is computed once per neighbour.
 """
 
+from typing import Optional
+
 import torch
 from torch import nn
 from torch.nn import functional
@@ -25,6 +27,11 @@ def nearest_in_features(features: torch.Tensor, k: int) -> torch.Tensor:
     return distances.topk(k, dim=-1, largest=False, sorted=False).indices
 
 
+def nearest_others(features: torch.Tensor, k: int) -> torch.Tensor:
+    """`nearest_in_features` by the fastest way at hand: int32 from the CPU kernels, else int64."""
+    return native.neighbours(features, k) if native.usable(features) else nearest_in_features(features, k)
+
+
 def gather_rows(table: torch.Tensor, indices: torch.Tensor) -> torch.Tensor:
     """Rows of each item's own table: [B,N,C] and [B,M,k] -> [B,M,k,C]."""
     batch, rows, channels = table.shape
@@ -34,7 +41,7 @@ def gather_rows(table: torch.Tensor, indices: torch.Tensor) -> torch.Tensor:
 
 
 class EdgeBlock(nn.Module):
-    """[B,N,channels] -> [B,N,3*growth+channels], through the k nearest neighbours in feature space."""
+    """[B,N,channels] -> [B,N,3*growth+channels], through the k nearest neighbours in feature space, or those given."""
 
     def __init__(self, channels: int = 24, growth: int = 12, k: int = 32):
         super().__init__()
@@ -43,20 +50,20 @@ class EdgeBlock(nn.Module):
         self.second = nn.Linear(growth + channels, growth)
         self.third = nn.Linear(2 * growth + channels, growth)
 
-    def forward(self, features: torch.Tensor) -> torch.Tensor:
+    def forward(self, features: torch.Tensor, indices: Optional[torch.Tensor] = None) -> torch.Tensor:
         point, neighbour, on_a, on_b = self.split()
         # Everything that depends on one point alone, in one product.
         own = features @ torch.cat([point[0], neighbour], dim=1)
         own_a, own_b, own_c, other = own.split(self.growth, dim=-1)
         bias_a, bias_b, bias_c = point[1].split(self.growth)
         own_a, own_b, own_c = own_a + bias_a, own_b + bias_b, own_c + bias_c
+        if indices is None:
+            indices = nearest_others(features, self.k)
         # c's share of the point itself is the same for every neighbour, so it is added after the maximum.
         if native.usable(features) and self.growth == native.GROWTH:
-            indices = native.neighbours(features, self.k)
             to_b, to_c = on_a.split(self.growth, dim=1)
-            maxima = native.EdgeMaxima.apply(own_a, own_b, other, to_b, to_c, on_b, indices)
+            maxima = native.EdgeMaxima.apply(own_a, own_b, other, to_b, to_c, on_b, indices.int())
             return torch.cat([maxima[..., : self.growth] + own_c, maxima[..., self.growth :], features], dim=-1)
-        indices = nearest_in_features(features, self.k)
         a = functional.relu(own_a.unsqueeze(2) + gather_rows(other, indices))
         on_b_and_c = a @ on_a
         b = functional.relu(on_b_and_c[..., : self.growth] + own_b.unsqueeze(2))

@@ -6,6 +6,7 @@ curves. `--random` writes unit files of an untrained cascade instead, for tests 
 
 import argparse
 import shutil
+import sys
 from pathlib import Path
 from typing import List, Optional
 
@@ -21,7 +22,14 @@ from .train import LOG
 
 
 def export_units(cascade: network.Cascade, folder: Path) -> List[Path]:
-    """One `unit<level>.onnx` for each unit; returns their paths."""
+    """One `unit<level>.onnx` for each unit; returns their paths. Refuses units that compute something else than the
+    graph does: they would load, run, and be wrong."""
+    for unit in cascade.units:
+        if type(unit) is not network.Unit:
+            raise ValueError(
+                f"units with {getattr(unit, 'switches', type(unit).__name__)} cannot be written: the ONNX graph is "
+                "that of the plain unit. Train without these settings of [unit], or run this checkpoint in PyTorch"
+            )
     folder.mkdir(parents=True, exist_ok=True)
     paths = []
     for number, unit in enumerate(cascade.units, start=1):
@@ -59,7 +67,10 @@ def main(values: Optional[List[str]] = None) -> None:
         torch.manual_seed(arguments.seed)
         export_units(network.Cascade(arguments.levels), arguments.out)
     else:
-        export_model(arguments.run, arguments.out, arguments.name)
+        try:
+            export_model(arguments.run, arguments.out, arguments.name)
+        except ValueError as error:
+            sys.exit(f"nothing exported: {error}")
 
 
 if __name__ == "__main__":

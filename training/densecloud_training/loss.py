@@ -5,6 +5,7 @@ from typing import NamedTuple, Optional
 import torch
 
 from . import native
+from .edge import gather_rows, nearest_others
 
 
 class Nearest(NamedTuple):
@@ -51,12 +52,25 @@ def chamfer(
     keep_prediction: Optional[torch.Tensor] = None,
     keep_reference: Optional[torch.Tensor] = None,
     outlier_threshold: Optional[float] = None,
+    surface: float = 1.0,
 ) -> torch.Tensor:
     """Modified Chamfer distance [B]: both directed means of squared nearest distances, added.
 
-    `keep_*` [B,P], [B,Q] leave out points whose counterpart may lie beyond the other cloud's border.
+    `keep_*` [B,P], [B,Q] leave out points whose counterpart may lie beyond the other cloud's border. `surface` weights
+    the direction from the prediction to the reference: how far points are off the surface, against how well they cover
+    it.
     """
     nearest = nearest_distances(prediction, reference)
-    return masked_mean(nearest.to_reference, keep_prediction, outlier_threshold) + masked_mean(
+    return surface * masked_mean(nearest.to_reference, keep_prediction, outlier_threshold) + masked_mean(
         nearest.to_prediction, keep_reference, outlier_threshold
     )
+
+
+def crowding(prediction: torch.Tensor, keep: Optional[torch.Tensor] = None) -> torch.Tensor:
+    """[B]: the mean of max(0, m - d)^2, where d is a prediction's distance to its nearest other one and m the mean d of
+    its patch, without gradient. In the Chamfer distance's unit, and 0 where points are even."""
+    partners = gather_rows(prediction, nearest_others(prediction, 1)).squeeze(2)
+    # Two copies of a point may coincide, where a root has no gradient.
+    distances = ((prediction - partners).square().sum(-1) + 1e-12).sqrt()
+    mean = masked_mean(distances, keep, None).detach().unsqueeze(1)
+    return masked_mean((mean - distances).clamp_min(0).square(), keep, None)

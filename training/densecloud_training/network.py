@@ -3,7 +3,7 @@
 Shapes: B patches of N points; C = 264 feature channels. Coordinates are in the patch's own frame (`normalise`).
 """
 
-from typing import NamedTuple, Optional
+from typing import NamedTuple, Optional, Sequence
 
 import torch
 from torch import nn
@@ -135,11 +135,11 @@ def relative(distances: torch.Tensor) -> torch.Tensor:
 
 
 class Cascade(nn.Module):
-    """Units for 2x, 4x, 8x, ...; weights are not shared."""
+    """Units for 2x, 4x, 8x, ...; weights are not shared. `variants.build_cascade` makes other kinds."""
 
-    def __init__(self, levels: int = 4, k: int = K):
+    def __init__(self, levels: int = 4, k: int = K, units: Optional[Sequence[Unit]] = None):
         super().__init__()
-        self.units = nn.ModuleList([Unit(k) for _ in range(levels)])
+        self.units = nn.ModuleList([Unit(k) for _ in range(levels)] if units is None else units)
 
 
 class Frame(NamedTuple):

@@ -21,9 +21,12 @@ def prepare_units(cascade: Cascade, stage: Stage, warm_start: bool, first_round:
     units, learning = list(cascade.units), trained_units(stage)
     if warm_start and first_round and not stage.together and stage.levels > 1:
         units[stage.levels - 1].load_state_dict(units[stage.levels - 2].state_dict())
-    for number, unit in enumerate(units):
-        unit.requires_grad_(number in learning)
-    return [parameter for number in learning for parameter in units[number].parameters()]
+    for unit in units:
+        unit.requires_grad_(False)
+    for number in learning:
+        units[number].requires_grad_(True)
+    # Once each, though levels may share them.
+    return list(dict.fromkeys(parameter for number in learning for parameter in units[number].parameters()))
 
 
 def learning_rate(config: Config, stage: Stage, progress: float, step: int) -> float:

@@ -18,12 +18,12 @@ from . import clouds as cloud_sets
 from . import config as configs
 from .config import Config, Stage
 from .levels import run_levels
-from .loss import chamfer
-from .network import Cascade
+from .loss import chamfer, crowding
 from .patches import PatchSource
 from .profiling import part, report
 from .schedule import learning_rate, prepare_units
 from .validation import Validation
+from .variants import build_cascade
 
 LOG = "log.jsonl"
 
@@ -36,7 +36,7 @@ class Trainer:
         self.device = training.device
         self.host = random.Random(config.seed)
         torch.manual_seed(config.seed)
-        self.cascade = Cascade(config.levels, config.k).to(self.device)
+        self.cascade = build_cascade(config.levels, config.k, config.unit).to(self.device)
         # What is scored and shipped: a running mean of the weights, which steps of a high rate do not shake.
         self.averaged = copy.deepcopy(self.cascade).requires_grad_(False)
         self.source = PatchSource(training, config.data, config.patch, self.host)
@@ -109,7 +109,9 @@ class Trainer:
         with part("loss"):
             outliers = settings.outlier_threshold if progress >= settings.outliers_from[levels - 1] else None
             inside = (result.prediction_inside, result.reference_inside) if settings.borders else (None, None)
-            losses = chamfer(result.prediction, result.reference, *inside, outliers)
+            losses = chamfer(result.prediction, result.reference, *inside, outliers, settings.surface)
+            if settings.uniformity:
+                losses = losses + settings.uniformity * crowding(result.prediction, inside[0])
             loss = losses.mean()
             # Patches that nobody can fill well (gaps, backs of scans) would outweigh those that can be learned.
             weights = (loss / losses.clamp_min(1e-9)).detach() ** settings.balance

@@ -1,13 +1,14 @@
 """Scores on held-out shapes: the same patches for every checkpoint, with rules that learn nothing beside them."""
 
 import random
-from typing import Dict, List, Sequence
+from functools import cached_property
+from typing import Dict, Iterator, List, Sequence, Tuple
 
 import torch
 
 from .clouds import Clouds
 from .config import Config, Data
-from .levels import Step, run_levels
+from .levels import Result, Step, run_levels
 from .loss import nearest_distances
 from .network import Cascade
 from .patches import Batch, PatchSource
@@ -22,9 +23,9 @@ CASES = {
 
 
 class Validation:
-    """Fixed patches of whole held-out shapes."""
+    """Fixed patches of whole held-out shapes; their references are 2^extra times as dense as the prediction."""
 
-    def __init__(self, clouds: Clouds, config: Config, patches: int = 16, seed: int = 7):
+    def __init__(self, clouds: Clouds, config: Config, patches: int = 16, seed: int = 7, extra: int = 0):
         self.config, self.seed = config, seed
         self.batches: Dict[str, List[Batch]] = {}
         even = clouds._replace(weights=torch.ones_like(clouds.weights))
@@ -38,14 +39,18 @@ class Validation:
                     noise_power=0.0,
                     scale=[1.0, 1.0],
                     reference_margin=config.data.reference_margin,
+                    reference_extra=extra,
                     seed_pull=config.data.seed_pull,
                 )
                 host = random.Random(seed)
                 source = PatchSource(even, data, config.patch, host)
                 self.batches[case] = [source.draw(level, patches) for level in range(1, config.levels + 1)]
-        self.controls = {
-            name: self.scores([rule] * config.levels) for name, rule in (("midpoint", midpoint), ("repeat", repeat))
-        }
+
+    @cached_property
+    def controls(self) -> Dict[str, Dict[str, Dict[str, float]]]:
+        """Scores of the rules that learn nothing."""
+        rules = {"midpoint": midpoint, "repeat": repeat}
+        return {name: self.scores([rule] * self.config.levels) for name, rule in rules.items()}
 
     def of_cascade(self, cascade: Cascade, levels: int) -> Dict[str, Dict[str, float]]:
         """Scores of the first `levels` units."""
@@ -56,18 +61,24 @@ class Validation:
         """{"even 2x": {"cd": .., "hd": ..}}: mean over patches of the two-way mean, and of the larger directed
         maximum, of squared nearest distances, x 1e3, patch radius 1; borders left out."""
         table = {}
+        for name, result in self.results(steps):
+            nearest = nearest_distances(result.prediction, result.reference)
+            there = nearest.to_reference * result.prediction_inside
+            back = nearest.to_prediction * result.reference_inside
+            means = there.sum(1) / result.prediction_inside.sum(1).clamp_min(1)
+            means = means + back.sum(1) / result.reference_inside.sum(1).clamp_min(1)
+            worst = torch.maximum(there.max(1)[0], back.max(1)[0])
+            table[name] = {"cd": 1e3 * means.mean().item(), "hd": 1e3 * worst.mean().item()}
+        return table
+
+    @torch.no_grad()
+    def results(self, steps: Sequence[Step]) -> Iterator[Tuple[str, Result]]:
+        """("even 2x", what the steps make of those patches), for each case and each level that the steps reach."""
         for case, batches in self.batches.items():
             for level, batch in enumerate(batches[: len(steps)], start=1):
                 with forked(self.seed + level, batch.points.device):
                     result = run_levels(steps[:level], batch, self.config.data)
-                nearest = nearest_distances(result.prediction, result.reference)
-                there = nearest.to_reference * result.prediction_inside
-                back = nearest.to_prediction * result.reference_inside
-                means = there.sum(1) / result.prediction_inside.sum(1).clamp_min(1)
-                means = means + back.sum(1) / result.reference_inside.sum(1).clamp_min(1)
-                worst = torch.maximum(there.max(1)[0], back.max(1)[0])
-                table[f"{case} {2**level}x"] = {"cd": 1e3 * means.mean().item(), "hd": 1e3 * worst.mean().item()}
-        return table
+                yield f"{case} {2**level}x", result
 
 
 class forked:

@@ -111,5 +111,5 @@ def text(reports: Dict[str, Report]) -> str:
     ]
     for goal in GOALS:
         found = missed(reports, goal)
-        parts.append(f"Not reached of \"{goal}\": {'; '.join(found) if found else 'nothing'}.\n")
+        parts.append(f'Not reached of "{goal}": {"; ".join(found) if found else "nothing"}.\n')
     return "\n".join(parts)

@@ -31,7 +31,7 @@ class Program:
     def run(self, *arguments: object) -> str:
         """Runs one command; gives what it printed."""
         command = [self.path, *map(str, arguments)]
-        done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        done = subprocess.run(command, capture_output=True, text=True)
         if done.returncode != 0:
             raise ProgramError(f"{' '.join(command)}\n{done.stderr.strip()}")
         return done.stdout

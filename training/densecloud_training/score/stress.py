@@ -56,9 +56,7 @@ def evaluate(inputs: Inputs) -> List[Step]:
 
     steps = [Step("noise", share, scored(inputs.sampled(POINTS, noise=share), POINTS)) for share in NOISE]
     for share in REMOVED:
-        steps.append(
-            Step("removed", share, scored(inputs.with_removed(POINTS, share), remaining(POINTS, share)))
-        )
+        steps.append(Step("removed", share, scored(inputs.with_removed(POINTS, share), remaining(POINTS, share))))
     return steps
 
 

@@ -130,7 +130,7 @@ def text(reports: Dict[Setting, Report]) -> str:
     parts = [f"Mean of {shapes} held-out shapes, {POINTS:,} points in.\n", NOTE]
     parts.append(markdown(HEADER, [row for s, report in reports.items() for row in means_rows(s.name, report)]))
     parts.append(
-        "Shapes on which the network is better than both controls (repeated input, midpoints), by column; \"must\" "
+        'Shapes on which the network is better than both controls (repeated input, midpoints), by column; "must" '
         "marks the inputs on which it has to be on every shape. Excess: above the floor. Repeated input has no spacing "
         "variation and counts as worse than any; its distance to the surface of 0 is half of its two-sided distance.\n"
     )
