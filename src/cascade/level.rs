@@ -96,7 +96,7 @@ impl Level {
             if observer.cancelled() {
                 return Err(CascadeError::Cancelled);
             }
-            points = polish(&merged, &points, size, &mut random);
+            points = polish(&merged, &points, size, &measured, &mut random);
         }
         Ok(Done { points, previous, measured: (!self.last).then_some(measured) })
     }

@@ -19,6 +19,7 @@
 //! The result depends on the points, their order, the target, the settings and the model; never on
 //! the number of threads. Every patch is computed on its own and written to its own place.
 
+mod balance;
 mod input;
 mod level;
 mod observer;
@@ -64,7 +65,7 @@ pub struct Settings {
 
 impl Default for Settings {
     fn default() -> Self {
-        Self { overlap: 3.0, inner: 0.5, max_displacement: 0.8, max_distance: 1.5, polish: true, seed: 0 }
+        Self { overlap: 2.0, inner: 0.3, max_displacement: 0.8, max_distance: 1.5, polish: true, seed: 0 }
     }
 }
 

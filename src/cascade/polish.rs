@@ -2,13 +2,15 @@
 //!
 //! Farthest point sampling can only be as even as its candidates allow, and it prefers the
 //! candidates that stand off the surface. So the last level's sample is only the start: the
-//! midpoints of its neighbours, which average two errors and lie in its gaps, are sampled again,
-//! points that are too near push each other apart, and each is projected onto the moving least
+//! midpoints of its neighbours, which average two errors and lie in its gaps, are sampled again
+//! (with an eye to the input's density), points that are too near push each other apart, and each is projected onto the moving least
 //! squares surface of all that the unit made. Coarser levels go without: there a chord cuts a curve
 //! that the next unit would follow.
 
 use rayon::prelude::*;
 
+use super::balance::{SURPLUS, balanced};
+use super::strays::Measured;
 use crate::cloud::Point;
 use crate::geometry::{
     KdTree, Neighbour, Rng, estimate_normals, farthest_point_sampling, project_to_surface,
@@ -31,14 +33,22 @@ const PUSH: f32 = 0.4;
 const FARTHEST: f32 = 0.2;
 
 /// `size` points, spread evenly over what the unit `made`, of which `sample` is an even sample.
-pub(super) fn polish(made: &[Point], sample: &[Point], size: usize, random: &mut Rng) -> Vec<Point> {
+pub(super) fn polish(
+    made: &[Point],
+    sample: &[Point],
+    size: usize,
+    input: &Measured,
+    random: &mut Rng,
+) -> Vec<Point> {
     let mut candidates = midpoints(sample);
     if candidates.len() < size {
         candidates.extend_from_slice(sample);
     }
     let first = random.below(candidates.len() as u64) as usize;
-    let kept = farthest_point_sampling(&candidates, size, first);
-    let mut dense: Vec<Point> = kept.iter().map(|&i| candidates[i as usize]).collect();
+    let count = ((SURPLUS * size as f64) as usize).min(candidates.len());
+    let order = farthest_point_sampling(&candidates, count, first);
+    let order: Vec<Point> = order.iter().map(|&i| candidates[i as usize]).collect();
+    let mut dense: Vec<Point> = balanced(&order, size, input).iter().map(|&i| order[i as usize]).collect();
     relax(&mut dense);
     project_to_surface(&mut dense, made, &KdTree::new(made));
     dense
@@ -157,7 +167,8 @@ mod tests {
         let made = square(3000, 0.5, 1);
         let sample: Vec<Point> =
             farthest_point_sampling(&made, 2000, 0).iter().map(|&i| made[i as usize]).collect();
-        let dense = polish(&made, &sample, 2000, &mut Rng::new(5));
+        let input = Measured::new(&sample[..500], vec![0.05; 500]);
+        let dense = polish(&made, &sample, 2000, &input, &mut Rng::new(5));
         assert_eq!(dense.len(), 2000);
         assert!(dense.iter().all(|p| (p[2] - 0.5).abs() < 1e-6));
         let (before, after) = (variation(&sample), variation(&dense));
@@ -193,6 +204,7 @@ mod tests {
     #[test]
     fn too_few_midpoints_are_made_up_for() {
         let points = vec![[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
-        assert_eq!(polish(&points, &points, 5, &mut Rng::new(1)).len(), 5);
+        let input = Measured::new(&points, vec![1.0; 3]);
+        assert_eq!(polish(&points, &points, 5, &input, &mut Rng::new(1)).len(), 5);
     }
 }

@@ -18,7 +18,8 @@ pub(super) struct Made {
 /// A limit on displacement alone lets strays through: a stray is far from everything, so the next
 /// level grants it a wide spacing and lets its copies stray further.
 pub(super) struct Measured {
-    tree: KdTree,
+    pub(super) tree: KdTree,
+    pub(super) points: Vec<Point>,
     /// Mean distance of each point to its nearest others.
     spacing: Vec<f32>,
 }
@@ -29,7 +30,7 @@ const SOUND: f64 = 0.9;
 impl Measured {
     /// `spacing` of each of `points`.
     pub(super) fn new(points: &[Point], spacing: Vec<f32>) -> Self {
-        Self { tree: KdTree::new(points), spacing }
+        Self { tree: KdTree::new(points), points: points.to_vec(), spacing }
     }
 
     /// For each point the distance to the nearest input point, in that one's spacing; NaN where it is not finite.

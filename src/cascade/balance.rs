@@ -1,0 +1,112 @@
+//! How many points each region of a cloud gets.
+
+use rayon::prelude::*;
+
+use super::strays::Measured;
+use crate::cloud::Point;
+
+/// How many times more points than wanted [`balanced`] should choose from.
+pub(super) const SURPLUS: f64 = 1.4;
+/// Nearest others that an input point's share of the surface is measured with. Few: beside a thin
+/// part the eighth is across a gap already.
+const NEIGHBOURS: usize = 3;
+/// Input points of a region: enough for the noise of a random input to cancel out.
+const REGION: usize = 32;
+/// A region is never thought more than this many times too crowded or too empty.
+const MOST: f32 = 3.0;
+
+/// Chooses `size` of `points`, which are in the order of farthest point sampling: their indices,
+/// in the order of a sampling that is as dense in each region as the input makes plausible.
+///
+/// Farthest point sampling spreads points evenly over whatever it is given. Where a part is thinner
+/// than the input's spacing, what the units make is a tuft rather than a surface, and takes points
+/// from everywhere else. The input knows better, up to its noise: each of its points stands for an
+/// area of about the square of the distance to its nearest others. So a region gets the geometric
+/// mean of what even spacing gives it and what the input's areas give it. Every prefix of the order
+/// is an even sampling, hence a point is taken the later, the more crowded its region is.
+pub(super) fn balanced(points: &[Point], size: usize, input: &Measured) -> Vec<u32> {
+    let region_of: Vec<Option<u32>> =
+        points.par_iter().map(|p| input.tree.nearest_one(*p).map(|n| n.index)).collect();
+    let mut counts = vec![0.0_f32; input.points.len()];
+    for &index in region_of[..size].iter().flatten() {
+        counts[index as usize] += 1.0;
+    }
+    let excess: Vec<f32> = crowding(&counts, input).into_iter().map(f32::sqrt).collect();
+    let mut order: Vec<(f32, u32)> = (0..points.len() as u32)
+        .zip(&region_of)
+        .map(|(rank, region)| (rank as f32 * region.map_or(1.0, |r| excess[r as usize]), rank))
+        .collect();
+    order.par_sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+    order[..size].iter().map(|o| o.1).collect()
+}
+
+/// Points per area around each input point, beside the median; `counts` of the points nearest to it.
+fn crowding(counts: &[f32], input: &Measured) -> Vec<f32> {
+    let around = |k: usize, of: &(dyn Fn(&[crate::geometry::Neighbour]) -> f32 + Sync)| -> Vec<f32> {
+        let found = |found: &mut Vec<_>, p: &Point| {
+            input.tree.nearest(*p, k, found);
+            of(found)
+        };
+        input.points.par_iter().map_init(Vec::new, found).collect()
+    };
+    let areas = around(NEIGHBOURS + 1, &|found| {
+        (found.iter().map(|n| n.distance_squared.sqrt()).sum::<f32>() / NEIGHBOURS as f32).powi(2)
+    });
+    let mut density = around(REGION, &|found| {
+        let sum = |of: &[f32]| found.iter().map(|n| of[n.index as usize]).sum::<f32>();
+        sum(counts) / sum(&areas)
+    });
+    let mut sorted = density.clone();
+    let middle = sorted.len() / 2;
+    let median = *sorted.select_nth_unstable_by(middle, f32::total_cmp).1;
+    for d in &mut density {
+        *d = (*d / median).clamp(1.0 / MOST, MOST);
+    }
+    density
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::{Rng, farthest_point_sampling};
+
+    /// Random points of a unit square, and of a flat box of a quarter of its area beside it.
+    fn scene(square: usize, tuft: usize, height: f32, seed: u64) -> Vec<Point> {
+        let mut random = Rng::new(seed);
+        let mut next = || random.f64() as f32;
+        let mut points: Vec<Point> = (0..square).map(|_| [next(), next(), 0.0]).collect();
+        points.extend((0..tuft).map(|_| [2.0 + next() / 2.0, next() / 2.0, next() * height]));
+        points
+    }
+
+    fn sampled(points: &[Point], count: usize) -> Vec<Point> {
+        farthest_point_sampling(points, count, 0).iter().map(|&i| points[i as usize]).collect()
+    }
+
+    #[test]
+    fn a_tuft_takes_fewer_points_than_even_spacing_gives_it() {
+        // To the input both are flat; the candidates of the tuft fill a box several spacings high.
+        let input = scene(800, 200, 0.0, 1);
+        let input = Measured::new(&input, vec![0.05; 1000]);
+        let order = sampled(&scene(20_000, 20_000, 0.08, 2), 2800);
+        let tuft = |points: &mut dyn Iterator<Item = &Point>| points.filter(|p| p[0] > 1.5).count();
+        let even = tuft(&mut order[..2000].iter());
+        let kept = balanced(&order, 2000, &input);
+        let balanced = tuft(&mut kept.iter().map(|&i| &order[i as usize]));
+        assert_eq!(kept.len(), 2000);
+        // By area it were 400.
+        assert!(even > 800, "{even} of 2000 in the tuft");
+        assert!(balanced < even * 3 / 4, "{balanced} of 2000 in the tuft, {even} before");
+    }
+
+    #[test]
+    fn an_even_cloud_keeps_its_points_and_their_order() {
+        let input = sampled(&scene(20_000, 0, 0.0, 1), 500);
+        let order = sampled(&scene(20_000, 0, 0.0, 2), 2800);
+        let kept = balanced(&order, 2000, &Measured::new(&input, vec![0.05; 500]));
+        let same = kept.iter().filter(|i| **i < 2000).count();
+        assert!(same > 1800, "{same} of the first 2000 kept");
+        // Borders aside, what comes early in the one order does in the other.
+        assert!(kept[..500].iter().filter(|i| **i < 700).count() > 480);
+    }
+}
