@@ -16,8 +16,8 @@ import torch
 from . import checkpoint as checkpoints
 from .network import PATCH, SKIP_NEIGHBOURS, Cascade, Previous, normalise
 
-OVERLAP = 3.0
-INNER = 0.5
+OVERLAP = 2.0
+INNER = 0.3
 # Distances computed at once: bounds the memory of brute-force neighbour searches.
 TABLE = 1 << 24
 

@@ -8,7 +8,19 @@ import pytest
 
 from densecloud_training.clouds import validation_names
 from densecloud_training.score import __main__ as command
-from densecloud_training.score import cleaning, inputs, noisy, peers, pictures, report, scans, stress, table, validation
+from densecloud_training.score import (
+    cleaning,
+    inputs,
+    noisy,
+    peers,
+    pictures,
+    report,
+    rules,
+    scans,
+    stress,
+    table,
+    validation,
+)
 from densecloud_training.score.program import Program, ProgramError
 
 
@@ -274,3 +286,27 @@ def test_the_command_line_knows_the_held_out_shapes(tmp_path):
     assert command.held_out(some, program).shapes == [names[1], names[3]]
     with pytest.raises(SystemExit, match="not held out: cow"):
         command.held_out(command.parser().parse_args(["stress", *common, "--shapes", "cow"]), program)
+
+
+def test_rules_are_scored_and_timed_one_by_one():
+    def row(factor: float) -> rules.Row:
+        return rules.Row(
+            {method: dict.fromkeys(report.METRICS, 0.001 * factor) for method in rules.METHODS}, 2 * factor
+        )
+
+    table = rules.text({rules.RULES[0]: row(1), rules.RULES[1]: row(1.5)}).splitlines()
+    assert (
+        table[2] == "| the defaults | 1.000 / 1.00 / 1.00 | 1.000 | 0.00 | 1.000 / 1.00 / 1.00 | 1.000 | 0.00 | 1.00 |"
+    )
+    assert table[3].startswith("| overlap 1.5 | 1.500 / 1.50 / 1.50 |") and table[3].endswith("| 1.50 |")
+    program = rules.changed(Program("p", options=["--x"]), rules.RULES[1], "--seed", "1")
+    assert program.options == ["--x", "--overlap", "1.5", "--seed", "1"]
+
+
+def test_predictions_alone_are_averaged_over_seeds():
+    first, second = evaluation((0.0002, 0.001, 0.08)), evaluation((0.0004, 0.003, 0.10))
+    mixed = report.average(first, [second])
+    assert mixed.rows["cow"]["prediction"]["cd"] == pytest.approx(0.0003)
+    assert mixed.rows["cow"]["prediction"]["spacing_variation"] == pytest.approx(0.09)
+    assert mixed.rows["cow"]["midpoints"] == first.rows["cow"]["midpoints"]
+    assert mixed.rows["cup"] == first.rows["cup"]

@@ -9,6 +9,7 @@ scored is what users run: weights, merging and all. Files made on the way are ke
     inputs      clouds sampled from meshes, and clouds with holes
     validation  held-out shapes, beside the controls
     stress      curves over noise and over removed points
+    rules       the cascade's own rules, each changed alone
     peers       the PU-GAN benchmark, beside other networks
     scans       readers of scan files, and views that show them well
     pictures    before and after, of real scans

@@ -7,7 +7,7 @@ from typing import List, Sequence
 
 from ..clouds import validation_names
 from ..prepare import find_program
-from . import noisy, peers, pictures, stress, validation
+from . import noisy, peers, pictures, rules, stress, validation
 from .inputs import Inputs
 from .program import Program, ProgramError
 
@@ -29,6 +29,7 @@ def parser() -> argparse.ArgumentParser:
     commands = top.add_subparsers(dest="command", required=True)
     commands.add_parser("validation", parents=[common, meshes], help="held-out shapes, beside the controls")
     commands.add_parser("stress", parents=[common, meshes], help="curves over noise and over removed points")
+    commands.add_parser("rules", parents=[common, meshes], help="overlap, merging, strays, polish: each changed alone")
     found = commands.add_parser("peers", parents=[common], help="the PU-GAN benchmark, beside other networks")
     found.add_argument("--benchmark", type=Path, required=True, help="folder with mesh/, input_*/ and reference_*/")
     found = commands.add_parser("noisy", parents=[common, meshes], help="what cleaning before upsampling gains")
@@ -71,6 +72,8 @@ def run(arguments: argparse.Namespace) -> None:
         (out / "stress.json").write_text(json.dumps(stress.as_json(steps), indent=1) + "\n")
         stress.draw(steps, out / "stress.png")
         write(out, "stress.md", stress.text(steps))
+    elif arguments.command == "rules":
+        write(out, "rules.md", rules.text(rules.evaluate(held_out(arguments, program))))
     elif arguments.command == "peers":
         only: List[str] = arguments.shapes.split(",") if arguments.shapes else []
         write(out, "peers.md", peers.text(peers.evaluate(program, arguments.benchmark, out, only or None)))

@@ -1,12 +1,12 @@
 """The PU-GAN benchmark, beside other networks."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Dict, List, Optional, Tuple
 
 from .inputs import Inputs
 from .program import Program
-from .report import METHODS, Report
+from .report import METHODS, Report, average
 from .table import markdown, published
 
 Triple = Tuple[float, float, float]
@@ -23,6 +23,8 @@ class Row:
     shapes: Optional[Tuple[str, ...]] = None
 
 
+# Published distances vary with where farthest point sampling starts (each cloud is scaled by itself): ours are means.
+SEEDS = (0, 1, 2)
 EIGHT = ("camel", "casting", "elk", "fandisk", "genus3", "kitten", "m355", "star")
 SIX = ("camel", "casting", "elk", "genus3", "kitten", "star")
 BENCHMARK = (
@@ -67,13 +69,18 @@ def evaluate(program: Program, benchmark: Path, out: Path, only: Optional[List[s
             raise SystemExit(f"--shapes leaves none for `{row.name}`: its shapes are {', '.join(row.shapes or every)}")
         return shapes
 
-    reports = {}
-    for row in BENCHMARK:
-        given, wanted = benchmark / row.inputs, benchmark / row.references
-        reports[row.name] = program.evaluate(out / "results", given, wanted, meshes, chosen(row), row.ratio)
+    def scored(row: Row, given: Path, wanted: Path) -> Report:
+        found = []
+        for seed in SEEDS:
+            seeded = replace(program, options=[*program.options, "--seed", str(seed)])
+            with_controls = not found
+            found.append(seeded.evaluate(out / "results", given, wanted, meshes, chosen(row), row.ratio, with_controls))
+        return average(found[0], found[1:])
+
+    reports = {row.name: scored(row, benchmark / row.inputs, benchmark / row.references) for row in BENCHMARK}
     large = Inputs(program, meshes, out, chosen(LARGE))
     given, wanted = large.sampled(int(LARGE.inputs)), large.references(int(LARGE.references))
-    reports[LARGE.name] = program.evaluate(out / "results", given, wanted, meshes, large.shapes, LARGE.ratio)
+    reports[LARGE.name] = scored(LARGE, given, wanted)
     return reports
 
 
@@ -105,8 +112,9 @@ def text(reports: Dict[str, Report]) -> str:
     rows += [[name, *cells(triples)] for name, triples in {**PEERS, **GOALS}.items()]
     header = [f"{column} ({len(reports[column].rows)})" for column in COLUMNS]
     parts = [
-        "CD / HD / P2F as published, x 1e-3; in brackets the number of shapes. Peers: their released weights, measured "
-        f"on the same files. 5,000 to 80,000: {', '.join(SIX)}, sampled from the meshes.\n",
+        f"CD / HD / P2F as published, x 1e-3; in brackets the number of shapes. Ours: means of {len(SEEDS)} seeds. "
+        "Peers: their released weights, measured on the same files. 5,000 to 80,000: "
+        f"{', '.join(SIX)}, sampled from the meshes.\n",
         markdown(["", *header], rows),
     ]
     for goal in GOALS:

@@ -47,14 +47,21 @@ class Program:
         return out
 
     def evaluate(
-        self, kept: Path, inputs: Path, reference: Path, meshes: Path, shapes: List[str], ratio: float
+        self,
+        kept: Path,
+        inputs: Path,
+        reference: Path,
+        meshes: Path,
+        shapes: List[str],
+        ratio: float,
+        controls: bool = True,
     ) -> Report:
-        """Upsamples and scores `shapes`, with controls. The result is kept in the folder `kept`, under a name that
-        tells program, model, options and the times of all files apart."""
+        """Upsamples and scores `shapes`, and the controls beside. The result is kept in the folder `kept`, under a name
+        that tells program, model, options and the times of all files apart."""
         # Python's shortest form of the ratio is read back as the same number.
         arguments = ["evaluate", "--input", inputs, "--reference", reference, "--mesh", meshes, "--shapes",
-                     ",".join(shapes), "--ratio", repr(ratio), "--controls", "--quiet", "--json", "-",
-                     *self.model_options()]  # fmt: skip
+                     ",".join(shapes), "--ratio", repr(ratio), "--quiet", "--json", "-",
+                     *(["--controls"] if controls else []), *self.model_options()]  # fmt: skip
         stamps = [stamp(Path(self.path)), *folder_stamps(inputs, shapes), *folder_stamps(reference, shapes)]
         stamps += [stamp(file) for file in sorted(self.model.iterdir())] if self.model else []
         key = hashlib.sha256("\n".join([*map(str, arguments), *stamps]).encode()).hexdigest()[:16]

@@ -68,3 +68,12 @@ def scores(row: Dict[str, Any]) -> Scores:
         "two_sided": (corrected["to_surface"] + corrected["from_surface"]) / 2,
         "spacing_variation": math.inf if variation is None else float(variation),
     }
+
+
+def average(first: Report, others: List[Report]) -> Report:
+    """`first` with each prediction's scores averaged with those that `others`, of the same shapes, have."""
+    rows = {}
+    for shape, methods in first.rows.items():
+        found = [methods["prediction"], *(other.rows[shape]["prediction"] for other in others)]
+        rows[shape] = {**methods, "prediction": mean(found)}
+    return Report(rows)
