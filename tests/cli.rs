@@ -211,6 +211,51 @@ fn evaluate_scores_the_cascade_beside_its_controls() {
 }
 
 #[test]
+fn a_polished_cloud_is_smoother_and_more_even_than_what_the_network_made() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let input = text(&folder.path().join("in.xyz")).to_owned();
+    let reference = text(&folder.path().join("reference.xyz")).to_owned();
+    let mesh = text(&folder.path().join("ball.off")).to_owned();
+    std::fs::write(&mesh, ball()).expect("a mesh");
+    ok(&["sample", &mesh, &input, "--points", "600"]);
+    ok(&["sample", &mesh, &reference, "--points", "2400", "--seed", "1"]);
+    let scores = |more: &[&str]| -> [f64; 2] {
+        let arguments =
+            ["evaluate", "--input", &input, "--reference", &reference, "--mesh", &mesh, "--json", "-"];
+        let output = ok(&[&arguments[..], more].concat());
+        let json: serde_json::Value = serde_json::from_slice(&output.stdout).expect("JSON");
+        let corrected = &json["rows"][0]["corrected"];
+        ["to_surface", "spacing_variation"].map(|name| corrected[name].as_f64().expect("a number"))
+    };
+    let (polished, raw) = (scores(&[]), scores(&["--no-polish"]));
+    assert!(polished[0] < raw[0] && polished[1] < 0.6 * raw[1], "{polished:?} from {raw:?}");
+    // With next to no distance allowed, the new points are those nearest to the old.
+    let strict = scores(&["--max-distance", "0.1"]);
+    assert!(strict[1] > polished[1], "points all near the input's cannot be even: {strict:?}");
+}
+
+/// A unit sphere of 800 quadrilaterals, as OFF.
+fn ball() -> String {
+    let (rings, around) = (20, 40);
+    let mut off = format!("OFF {} {} 0\n", (rings + 1) * around, rings * around);
+    for ring in 0..=rings {
+        for step in 0..around {
+            let (a, b) = (f64::from(ring) / f64::from(rings), f64::from(step) / f64::from(around));
+            let (polar, angle) = (std::f64::consts::PI * a, std::f64::consts::TAU * b);
+            off += &format!("{} {} {}\n", polar.sin() * angle.cos(), polar.sin() * angle.sin(), polar.cos());
+        }
+    }
+    for ring in 0..rings {
+        for step in 0..around {
+            let next = (step + 1) % around;
+            let (low, high) = (ring * around, (ring + 1) * around);
+            off += &format!("4 {} {} {} {}\n", low + step, low + next, high + next, high + step);
+        }
+    }
+    off
+}
+
+#[test]
 fn evaluate_says_what_is_missing() {
     let folder = tempfile::tempdir().expect("a folder");
     let [meshes, inputs, references] = benchmark(folder.path());

@@ -85,6 +85,14 @@ def surface(config: Config) -> None:
     config.loss.surface = SURFACE
 
 
+def outliers(config: Config) -> None:
+    config.loss.outliers_from = [0.0] * len(config.loss.outliers_from)
+
+
+def unbalanced(config: Config) -> None:
+    config.loss.balance = 0.0
+
+
 VARIANTS: Dict[str, Variant] = {
     "full": Variant("paper", "the progressive schedule", lambda config: None),
     "full-2": Variant("paper", "`full` from another seed", other_seed),
@@ -100,6 +108,8 @@ VARIANTS: Dict[str, Variant] = {
     "learned-code": Variant("unit", "the two codes learn", switch(code="learned")),
     "midpoint": Variant("unit", "second copy starts halfway to a neighbour", switch(start="midpoints")),
     "uniformity": Variant("unit", f"crowding term in the loss, weight {UNIFORMITY:g}", uniformity),
+    "outliers": Variant("unit", "the authors' outlier rule, from the first step", outliers),
+    "unbalanced": Variant("unit", "all patches weigh alike, however hard", unbalanced),
     "surface": Variant("unit", f"prediction to reference weighted {SURFACE:g}", surface),
 }
 LEVELS = {"paper": 2, "unit": 1}
