@@ -14,7 +14,7 @@ trap 'rm -rf "$work"' EXIT
 
 torch() {
     DENSECLOUD_NATIVE=0 .venv/bin/python -m densecloud_training.cascade models/default "$work/in.xyz" "$work/torch.xyz" \
-        --ratio 16 --threads "$threads" --inner 0.5 --fps "$1"
+        --ratio 16 --threads "$threads" --inner 0.3 --fps "$1"
 }
 for run in $(seq "$runs"); do
     echo "run $run: densecloud"
