@@ -18,6 +18,9 @@ use crate::geometry::{
 
 /// Neighbours that a point shares midpoints with: the ring around it, and some.
 const NEIGHBOURS: usize = 7;
+/// An input point further than this from every midpoint, in its own spacing, is a tip that they fall
+/// short of.
+const SHORT: f32 = 0.5;
 /// Neighbours that a normal is estimated from.
 const NORMAL_NEIGHBOURS: usize = 12;
 /// A midpoint is of one surface if the edge lies within 45 degrees of both tangent planes: this is
@@ -44,6 +47,7 @@ pub(super) fn polish(
     if candidates.len() < size {
         candidates.extend_from_slice(sample);
     }
+    candidates.extend(fallen_short_of(&candidates, input));
     let first = random.below(candidates.len() as u64) as usize;
     let count = ((SURPLUS * size as f64) as usize).min(candidates.len());
     let order = farthest_point_sampling(&candidates, count, first);
@@ -123,6 +127,16 @@ fn neighbours(points: &[Point]) -> Vec<(u32, u32)> {
     (0..points.len() as u32).into_par_iter().map_init(Vec::new, pairs_of).flatten_iter().collect()
 }
 
+/// The input points that no candidate comes near: what was measured must not vanish.
+fn fallen_short_of(candidates: &[Point], input: &Measured) -> Vec<Point> {
+    let tree = KdTree::new(candidates);
+    let points = input.points.par_iter().zip(&input.spacing);
+    let far = points.filter(|(p, spacing)| {
+        tree.nearest_one(**p).is_none_or(|n| n.distance_squared.sqrt() > SHORT * **spacing)
+    });
+    far.map(|(p, _)| *p).collect()
+}
+
 /// Of every point and its nearest others on the same surface, each pair once.
 fn midpoints(points: &[Point]) -> Vec<Point> {
     let mut pairs = neighbours(points);
@@ -173,6 +187,18 @@ mod tests {
         assert!(dense.iter().all(|p| (p[2] - 0.5).abs() < 1e-6));
         let (before, after) = (variation(&sample), variation(&dense));
         assert!(after < 0.4 * before, "{after} from {before}");
+    }
+
+    #[test]
+    fn a_tip_of_one_point_keeps_its_reach() {
+        let made = square(3000, 0.5, 1);
+        let sample: Vec<Point> =
+            farthest_point_sampling(&made, 2000, 0).iter().map(|&i| made[i as usize]).collect();
+        let mut measured = sample[..500].to_vec();
+        measured.push([0.5, 1.06, 0.5]);
+        let input = Measured::new(&measured, vec![0.05; 501]);
+        let dense = polish(&made, &sample, 2000, &input, &mut Rng::new(5));
+        assert!(dense.iter().any(|p| p[1] > 1.04), "nothing near the tip");
     }
 
     #[test]

@@ -21,7 +21,7 @@ pub(super) struct Measured {
     pub(super) tree: KdTree,
     pub(super) points: Vec<Point>,
     /// Mean distance of each point to its nearest others.
-    spacing: Vec<f32>,
+    pub(super) spacing: Vec<f32>,
 }
 
 /// The share of a level's points that is taken to lie where it should.
