@@ -4,6 +4,7 @@ use rayon::prelude::*;
 
 use super::strays::Measured;
 use crate::cloud::Point;
+use crate::geometry::Neighbour;
 
 /// How many times more points than wanted [`balanced`] should choose from.
 pub(super) const SURPLUS: f64 = 1.4;
@@ -42,7 +43,7 @@ pub(super) fn balanced(points: &[Point], size: usize, input: &Measured) -> Vec<u
 
 /// Points per area around each input point, beside the median; `counts` of the points nearest to it.
 fn crowding(counts: &[f32], input: &Measured) -> Vec<f32> {
-    let around = |k: usize, of: &(dyn Fn(&[crate::geometry::Neighbour]) -> f32 + Sync)| -> Vec<f32> {
+    let around = |k: usize, of: &(dyn Fn(&[Neighbour]) -> f32 + Sync)| -> Vec<f32> {
         let found = |found: &mut Vec<_>, p: &Point| {
             input.tree.nearest(*p, k, found);
             of(found)

@@ -72,8 +72,8 @@ impl Default for Settings {
 /// A dense cloud and what was done to the input.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Upsampled {
-    /// Exactly [`Target::points_out`] positions in the order of farthest point sampling: any prefix
-    /// is spread evenly.
+    /// Exactly [`Target::points_out`] positions, ordered so that any prefix is spread as evenly as
+    /// the whole.
     pub positions: Vec<Position>,
     /// Points left out because a coordinate was NaN or infinite.
     pub dropped_non_finite: usize,

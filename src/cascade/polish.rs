@@ -3,9 +3,9 @@
 //! Farthest point sampling can only be as even as its candidates allow, and it prefers the
 //! candidates that stand off the surface. So the last level's sample is only the start: the
 //! midpoints of its neighbours, which average two errors and lie in its gaps, are sampled again
-//! (with an eye to the input's density), points that are too near push each other apart, and each is projected onto the moving least
-//! squares surface of all that the unit made. Coarser levels go without: there a chord cuts a curve
-//! that the next unit would follow.
+//! (with an eye to the input's density), points that are too near push each other apart, and each
+//! is projected onto the moving least squares surface of all that the unit made. Coarser levels go
+//! without: there a chord cuts a curve that the next unit would follow.
 
 use rayon::prelude::*;
 
@@ -62,11 +62,14 @@ pub(super) fn polish(
 /// point sampling leaves uneven. The neighbours are found once, since points move little.
 fn relax(points: &mut [Point]) {
     let pairs = neighbours(points);
-    let around = |i: usize| {
-        let end = pairs.partition_point(|p| p.0 <= i as u32);
-        let start = pairs.partition_point(|p| p.0 < i as u32);
-        &pairs[start..end]
-    };
+    let mut starts = vec![0; points.len() + 1];
+    for &(i, _) in &pairs {
+        starts[i as usize + 1] += 1;
+    }
+    for i in 0..points.len() {
+        starts[i + 1] += starts[i];
+    }
+    let around = |i: usize| &pairs[starts[i]..starts[i + 1]];
     for _ in 0..STEPS {
         let before = points.to_vec();
         let distance = |i: usize, j: u32| {
