@@ -1,6 +1,7 @@
-//! Seconds of each stage of a whole cascade, over the model inside the program.
+//! Seconds of each stage of a whole cascade.
 //!
-//! `cargo bench --bench cascade -- [POINTS] [RATIO] [THREADS] [RUNS]`, by default 5000 16 2 5.
+//! `cargo bench --bench cascade -- [POINTS] [RATIO] [THREADS] [RUNS] [MODEL]`, by default 5000 16 2 5
+//! and the model inside the program.
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -19,7 +20,9 @@ fn main() {
 
     let mesh = shape("knot").expect("a built-in shape");
     let positions = poisson_disk(&mesh, points, 0).expect("samples of it");
-    let model = Arc::new(Model::embedded().expect("the embedded model"));
+    let folder = std::env::args().skip(1).map(std::path::PathBuf::from).find(|path| path.is_dir());
+    let model = folder.map_or_else(Model::embedded, |folder| Model::load(&folder));
+    let model = Arc::new(model.expect("a model"));
     let config = EngineConfig { threads, concurrency: 1, queue_points: u64::MAX };
     let start = Instant::now();
     let engine = Engine::new(model, config).expect("an engine");

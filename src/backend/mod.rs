@@ -8,6 +8,7 @@ pub mod fake;
 mod library;
 mod model;
 pub mod onnx;
+mod operators;
 mod workers;
 
 pub use fake::Fake;

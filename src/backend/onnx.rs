@@ -10,7 +10,9 @@ use ort::session::{
 };
 use ort::value::TensorRef;
 
-use super::{Backend, BackendError, Batch, Model, Output, SKIP_NEIGHBOURS, Session, UnitShape, library};
+use super::{
+    Backend, BackendError, Batch, Model, Output, SKIP_NEIGHBOURS, Session, UnitShape, library, operators,
+};
 
 /// A model on ONNX Runtime's CPU provider.
 #[derive(Debug)]
@@ -26,6 +28,12 @@ impl OnnxBackend {
     /// [`BackendError::Library`] when ONNX Runtime cannot be loaded.
     pub fn new(model: Arc<Model>) -> Result<Self, BackendError> {
         Ok(Self { environment: library::environment()?, model })
+    }
+
+    /// ONNX Runtime's environment, for other graphs in this process: it allows no second one.
+    #[must_use]
+    pub fn environment(&self) -> &Environment {
+        &self.environment
     }
 }
 
@@ -74,6 +82,8 @@ fn build(environment: &Environment, bytes: &[u8]) -> Result<OrtSession, String> 
         .with_intra_threads(1)
         .map_err(|e| e.to_string())?
         .with_memory_pattern(false)
+        .map_err(|e| e.to_string())?
+        .with_operators(operators::domain().map_err(|e| e.to_string())?)
         .map_err(|e| e.to_string())?
         .with_optimization_level(GraphOptimizationLevel::All)
         .map_err(|e| e.to_string())?

@@ -83,9 +83,10 @@ class EdgeBlock(nn.Module):
         bias = torch.cat([self.first.bias, self.second.bias, self.third.bias])
         return (own, bias), first[:, c:].t(), torch.cat([second[:, :g], third[:, g : 2 * g]]).t(), third[:, :g].t()
 
-    def plain(self, features: torch.Tensor) -> torch.Tensor:
+    def plain(self, features: torch.Tensor, indices: Optional[torch.Tensor] = None) -> torch.Tensor:
         """The definition, step by step."""
-        indices = nearest_in_features(features, self.k)
+        if indices is None:
+            indices = nearest_in_features(features, self.k)
         centre = features.unsqueeze(2).expand(-1, -1, self.k, -1)
         edge = torch.cat([centre, gather_rows(features, indices) - centre], dim=-1)
         a = functional.relu(self.first(edge))

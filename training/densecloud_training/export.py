@@ -16,6 +16,7 @@ import torch
 from . import checkpoint as checkpoints
 from . import network
 from .card import write_card
+from .config import Switches
 from .onnx_unit import build_unit
 from .plot import draw, read_log
 from .train import LOG
@@ -35,7 +36,7 @@ def export_units(cascade: network.Cascade, folder: Path) -> List[Path]:
     for number, unit in enumerate(cascade.units, start=1):
         state = {name: tensor.detach().cpu().float().numpy() for name, tensor in unit.state_dict().items()}
         path = folder / f"unit{number}.onnx"
-        onnx.save(build_unit(state, number, unit.k), str(path))
+        onnx.save(build_unit(state, number, unit.k, unit.neighbours), str(path))
         paths.append(path)
     return paths
 
@@ -60,12 +61,14 @@ def main(values: Optional[List[str]] = None) -> None:
     parser.add_argument("--random", action="store_true", help="untrained units only")
     parser.add_argument("--seed", type=int, default=0, help="of --random")
     parser.add_argument("--levels", type=int, default=4, help="of --random")
+    parser.add_argument("--k", type=int, default=network.K, help="neighbours of --random")
+    parser.add_argument("--neighbours", default=network.NEIGHBOURS, choices=Switches.CHOICES["neighbours"])
     arguments = parser.parse_args(values)
     if arguments.random == (arguments.run is not None):
         parser.error("name a run, or --random without one")
     if arguments.random:
         torch.manual_seed(arguments.seed)
-        export_units(network.Cascade(arguments.levels), arguments.out)
+        export_units(network.Cascade(arguments.levels, arguments.k, arguments.neighbours), arguments.out)
     else:
         try:
             export_model(arguments.run, arguments.out, arguments.name)

@@ -3,16 +3,19 @@
 Shapes: B patches of N points; C = 264 feature channels. Coordinates are in the patch's own frame (`normalise`).
 """
 
-from typing import NamedTuple, Optional, Sequence
+from typing import Callable, NamedTuple, Optional, Sequence, Tuple
 
 import torch
 from torch import nn
 from torch.nn import functional
 
-from .edge import EdgeBlock
+from .edge import EdgeBlock, nearest_in_features, nearest_others
 
 PATCH = 312
 K = 32
+# Nearest by what: "features" (each block's own input), "space" (coordinates in the first block, then features), or
+# "space-shared" (coordinates in all blocks: one search a patch).
+NEIGHBOURS = "features"
 BLOCK_CHANNELS = 24
 GROWTH = 12
 BLOCKS = 4
@@ -49,8 +52,9 @@ class UnitOutput(NamedTuple):
 class Unit(nn.Module):
     """One upsampling unit: N points in, 2N points out; 76,027 parameters."""
 
-    def __init__(self, k: int = K):
+    def __init__(self, k: int = K, neighbours: str = NEIGHBOURS):
         super().__init__()
+        self.neighbours = neighbours
         self.lift = nn.Linear(3, BLOCK_CHANNELS)
         widths = [BLOCK_CHANNELS + i * BLOCK_OUT for i in range(1, BLOCKS)]
         self.squeezes = nn.ModuleList([nn.Linear(width, BLOCK_CHANNELS) for width in widths])
@@ -74,11 +78,19 @@ class Unit(nn.Module):
 
     def extract(self, points: torch.Tensor) -> torch.Tensor:
         """[B,N,3] -> [B,N,C]."""
+        first, later = self.given_neighbours(points, nearest_others)
         features = self.lift(points)
-        features = torch.cat([self.blocks[0](features), features], dim=-1)
+        features = torch.cat([self.blocks[0](features, first), features], dim=-1)
         for squeeze, block in zip(self.squeezes, self.blocks[1:]):
-            features = torch.cat([block(functional.relu(squeeze(features))), features], dim=-1)
+            features = torch.cat([block(functional.relu(squeeze(features)), later), features], dim=-1)
         return features
+
+    def given_neighbours(self, points: torch.Tensor, search: Callable) -> Tuple[Optional[torch.Tensor], ...]:
+        """Indices for the first block and for the others; None where a block searches among its own features."""
+        if self.neighbours == "features":
+            return None, None
+        spatial = search(points, self.k)
+        return spatial, spatial if self.neighbours == "space-shared" else None
 
     def upsample(self, points: torch.Tensor, features: torch.Tensor) -> torch.Tensor:
         """Two copies of every point, each moved by its own residual: [B,N,3] and [B,N,C] -> [B,2N,3].
@@ -94,10 +106,11 @@ class Unit(nn.Module):
 
     def plain(self, points: torch.Tensor, previous: Optional[Previous] = None) -> UnitOutput:
         """The definition without any shortcut; equal to `forward`, for the tests."""
+        first, later = self.given_neighbours(points, nearest_in_features)
         features = self.lift(points)
-        features = torch.cat([self.blocks[0].plain(features), features], dim=-1)
+        features = torch.cat([self.blocks[0].plain(features, first), features], dim=-1)
         for squeeze, block in zip(self.squeezes, self.blocks[1:]):
-            features = torch.cat([block.plain(functional.relu(squeeze(features))), features], dim=-1)
+            features = torch.cat([block.plain(functional.relu(squeeze(features)), later), features], dim=-1)
         if previous is not None:
             features = skip(features, previous)
         copies = []
@@ -137,9 +150,11 @@ def relative(distances: torch.Tensor) -> torch.Tensor:
 class Cascade(nn.Module):
     """Units for 2x, 4x, 8x, ...; weights are not shared. `variants.build_cascade` makes other kinds."""
 
-    def __init__(self, levels: int = 4, k: int = K, units: Optional[Sequence[Unit]] = None):
+    def __init__(
+        self, levels: int = 4, k: int = K, neighbours: str = NEIGHBOURS, units: Optional[Sequence[Unit]] = None
+    ):
         super().__init__()
-        self.units = nn.ModuleList([Unit(k) for _ in range(levels)] if units is None else units)
+        self.units = nn.ModuleList([Unit(k, neighbours) for _ in range(levels)] if units is None else units)
 
 
 class Frame(NamedTuple):

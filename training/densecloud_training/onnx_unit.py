@@ -4,6 +4,10 @@ Building it by hand rather than tracing keeps the file the same whatever PyTorch
 stay dynamic, and leaves out what a tracer adds. The graph is the fast form of `network.Unit`: all linear maps act on
 flat [rows, channels] matrices, so that ONNX Runtime runs each as one Gemm with its bias (and ReLU) fused.
 
+What costs most, the neighbour search and the edge block, are operators of the domain `densecloud`, whose bodies the
+file carries as functions of standard operators. Any ONNX runtime can run it so; the program registers faster kernels of
+the same names and takes those.
+
 Contract of a file (f32 unless said):
 
 - input `points` [B,N,3], each patch in its own frame; from unit 2 on also `previous_features` [M,264],
@@ -11,28 +15,35 @@ Contract of a file (f32 unless said):
 - output `dense` [B,2N,3]: the N points with code -0.2, then the N with +0.2; `features` [B,N,264] after the skip.
 """
 
-from typing import Dict, List, Optional
+from typing import Dict, List, Optional, Sequence
 
 import numpy as np
 import onnx
+import onnx.parser
 from onnx import TensorProto, helper, numpy_helper
 
 from . import network
 
 OPSET = 17
 IR_VERSION = 8
+DOMAIN, DOMAIN_VERSION = "densecloud", 1
 
 
-def build_unit(state: Dict[str, np.ndarray], unit: int, k: int = network.K) -> onnx.ModelProto:
-    """The graph of unit `unit` (1-based) from the arrays of its state dict; checked before it is returned."""
+def build_unit(
+    state: Dict[str, np.ndarray], unit: int, k: int = network.K, neighbours: str = network.NEIGHBOURS
+) -> onnx.ModelProto:
+    """The graph of unit `unit` (1-based) from the arrays of its state dict; checked before it is returned.
+
+    `neighbours`: whose distances the k neighbours are nearest by, as in `network.Unit`.
+    """
     graph = _Graph(state)
     inputs = [_value("points", ["B", "N", 3])]
     if unit > 1:
         inputs.append(_value("previous_features", ["M", network.CHANNELS]))
         inputs.append(_value("skip_indices", ["B", "N", network.SKIP_NEIGHBOURS], TensorProto.INT64))
         inputs.append(_value("skip_distances", ["B", "N", network.SKIP_NEIGHBOURS]))
-    _shapes(graph, k)
-    features = _extract(graph, k)
+    _batch(graph)
+    features = _extract(graph, k, neighbours)
     if unit > 1:
         features = _skip(graph, features)
     graph.node("Reshape", [features, graph.ints("to_features", [0, -1, network.CHANNELS], head="batch")], "features")
@@ -41,7 +52,8 @@ def build_unit(state: Dict[str, np.ndarray], unit: int, k: int = network.K) -> o
     model = helper.make_model(
         helper.make_graph(graph.nodes, f"densecloud_unit{unit}", inputs, outputs, graph.initializers),
         producer_name="densecloud",
-        opset_imports=[helper.make_opsetid("", OPSET)],
+        opset_imports=[helper.make_opsetid("", OPSET), helper.make_opsetid(DOMAIN, DOMAIN_VERSION)],
+        functions=[_neighbours_function(), _edge_block_function()],
         ir_version=IR_VERSION,
     )
     parameters = sum(int(np.prod(array.shape)) for array in state.values())
@@ -98,76 +110,150 @@ def _value(name: str, shape: list, kind: int = TensorProto.FLOAT) -> onnx.ValueI
     return helper.make_tensor_value_info(name, kind, shape)
 
 
-def _shapes(graph: _Graph, k: int) -> None:
-    """What depends on B and N alone: `batch` [1], `self_mask` [N,N], `row_offsets` [B,1,1], shared by all blocks."""
-    one = graph.ints("one", [1])
+def _batch(graph: _Graph) -> None:
+    """`batch` [1]: B."""
     shape = graph.node("Shape", ["points"])
-    batch = graph.node("Slice", [shape, graph.ints("i0", [0]), one], "batch")
-    count = graph.node("Slice", [shape, one, graph.ints("i2", [2])], "count")
-    axis = graph.constant("axis0", np.asarray(0, dtype=np.int64))
-    step = graph.constant("step1", np.asarray(1, dtype=np.int64))
-    scalar_count = graph.node("Squeeze", [count])
-    row = graph.node("Range", [axis, scalar_count, step])
-    same = graph.node("Equal", [graph.node("Unsqueeze", [row, one]), row])
-    # A point is not its own neighbour: its own distance is lifted above all others.
-    graph.node("Where", [same, graph.floats("far", 1e30), graph.floats("zero", 0.0)], "self_mask")
-    items = graph.node("Range", [axis, graph.node("Squeeze", [batch]), step])
-    offsets = graph.node("Mul", [items, scalar_count])
-    graph.node("Reshape", [offsets, graph.ints("column3", [-1, 1, 1])], "row_offsets")
-    graph.ints("k", [k])
+    graph.node("Slice", [shape, graph.ints("i0", [0]), graph.ints("one", [1])], "batch")
 
 
-def _extract(graph: _Graph, k: int) -> str:
+def _extract(graph: _Graph, k: int, neighbours: str) -> str:
+    """[B,N,3] -> [B*N,264]."""
     rows = graph.node("Reshape", ["points", graph.ints("rows3", [-1, 3])], "point_rows")
     features = graph.linear(rows, "lift")
-    features = graph.node("Concat", [_edge_block(graph, features, 0, k), features], axis=1)
+    indices = None if neighbours == "features" else _neighbours(graph, "points", k)
+    features = graph.node("Concat", [_edge_block(graph, features, 0, k, indices), features], axis=1)
     for block in range(1, network.BLOCKS):
         squeezed = graph.node("Relu", [graph.linear(features, f"squeezes.{block - 1}")])
-        features = graph.node("Concat", [_edge_block(graph, squeezed, block, k), features], axis=1)
+        own = indices if neighbours == "space-shared" else None
+        features = graph.node("Concat", [_edge_block(graph, squeezed, block, k, own), features], axis=1)
     return features
 
 
-def _edge_block(graph: _Graph, features: str, block: int, k: int) -> str:
-    """[R,24] -> [R,60]; the split form of `edge.EdgeBlock.forward`."""
+def _neighbours(graph: _Graph, clouds: str, k: int) -> str:
+    return graph.node("Neighbours", [clouds], domain=DOMAIN, k=k)
+
+
+def _edge_block(graph: _Graph, features: str, block: int, k: int, indices: Optional[str]) -> str:
+    """[R,24] -> [R,60]; the split form of `edge.EdgeBlock.forward`, with all that acts on a point alone in one matrix."""
     name, g, c = f"blocks.{block}", network.GROWTH, network.BLOCK_CHANNELS
     first, second, third = (graph.state[f"{name}.{layer}.weight"] for layer in ("first", "second", "third"))
     biases = [graph.state[f"{name}.{layer}.bias"] for layer in ("first", "second", "third")]
-
-    own_a = graph.gemm(features, f"{name}.own_a", (first[:, :c] - first[:, c:]).T, biases[0])
-    own_b = graph.gemm(features, f"{name}.own_b", second[:, g:].T, biases[1])
-    own_c = graph.gemm(features, f"{name}.own_c", third[:, 2 * g :].T, biases[2])
-    other = graph.gemm(features, f"{name}.other", first[:, c:].T)
-
-    edges = graph.ints("edges", [-1, k, g])
-    edge_rows = graph.ints("edge_rows", [-1, g])
-    per_point = graph.ints("per_point", [1])
-    gathered = graph.node("Gather", [other, _neighbours(graph, features)], axis=0)
-    gathered = graph.node("Reshape", [gathered, edges])
-    a = graph.node("Relu", [graph.node("Add", [gathered, graph.node("Unsqueeze", [own_a, per_point])])])
-    a_rows = graph.node("Reshape", [a, edge_rows])
-    b = graph.node("Reshape", [graph.gemm(a_rows, f"{name}.b_from_a", second[:, :g].T), edges])
-    b = graph.node("Relu", [graph.node("Add", [b, graph.node("Unsqueeze", [own_b, per_point])])])
-    b_rows = graph.node("Reshape", [b, edge_rows])
-    c_from_a = graph.gemm(a_rows, f"{name}.c_from_a", third[:, g : 2 * g].T)
-    c_edges = graph.node("Reshape", [graph.gemm(b_rows, f"{name}.c_from_b", third[:, :g].T, add=c_from_a), edges])
-    maxima = [graph.node("ReduceMax", [edge], axes=[1], keepdims=0) for edge in (c_edges, b, a)]
-    return graph.node("Concat", [graph.node("Add", [maxima[0], own_c]), maxima[1], maxima[2], features], axis=1)
+    own = np.concatenate([first[:, :c] - first[:, c:], second[:, g:], third[:, 2 * g :], first[:, c:]]).T
+    weights = [
+        graph.floats(f"{name}.own", own),
+        graph.floats(f"{name}.own_bias", np.concatenate([*biases, np.zeros(g)])),
+        graph.floats(f"{name}.on_a", np.concatenate([second[:, :g], third[:, g : 2 * g]]).T),
+        graph.floats(f"{name}.on_b", third[:, :g].T),
+    ]
+    clouds = graph.node("Reshape", [features, graph.ints("to_clouds", [0, -1, c], head="batch")])
+    indices = indices or _neighbours(graph, clouds, k)
+    edges = graph.node("EdgeBlock", [clouds, indices, *weights], domain=DOMAIN)
+    return graph.node("Reshape", [edges, graph.ints("block_rows", [-1, network.BLOCK_OUT])])
 
 
-def _neighbours(graph: _Graph, features: str) -> str:
-    """Row numbers [B,N,K] of each point's nearest others in feature space."""
-    clouds = graph.node("Reshape", [features, graph.ints("to_clouds", [0, -1, network.BLOCK_CHANNELS], head="batch")])
-    squares = graph.node("ReduceSumSquare", [clouds], axes=[2], keepdims=1)
-    turned = graph.node("Transpose", [clouds], perm=[0, 2, 1])
-    doubled = graph.node("Mul", [turned, graph.floats("minus_two", -2.0)])
-    products = graph.node("MatMul", [clouds, doubled])
-    masked = graph.node("Add", [graph.node("Transpose", [squares], perm=[0, 2, 1]), "self_mask"])
-    distances = graph.node("Add", [products, masked])
-    indices = f"neighbours_{len(graph.nodes)}"
-    graph.nodes.append(
-        helper.make_node("TopK", [distances, "k"], [f"{indices}_distances", indices], axis=2, largest=0, sorted=0)
-    )
-    return graph.node("Add", [indices, "row_offsets"])
+def _function(name: str, inputs: List[str], output: str, text: str, attributes: Sequence[str] = ()) -> onnx.FunctionProto:
+    """A function whose body is given in ONNX's text form."""
+    nodes = onnx.parser.parse_graph(f"body () => () {{ {text} }}").node
+    opset = [helper.make_opsetid("", OPSET)]
+    return helper.make_function(DOMAIN, name, inputs, [output], nodes, opset, attributes)
+
+
+def _neighbours_function() -> onnx.FunctionProto:
+    """`Neighbours`: [B,N,C] -> [B,N,k] int64, for each row the k nearest others of its item, in any order.
+
+    |x_i|^2 is left out, since it shifts a whole row of distances; a point's own distance is lifted above all others.
+    """
+    text = """
+        one = Constant <value_ints = [1]> ()
+        two = Constant <value_ints = [2]> ()
+        shape = Shape (rows)
+        count = Slice (shape, one, two)
+        start = Constant <value_int = 0> ()
+        step = Constant <value_int = 1> ()
+        end = Squeeze (count)
+        place = Range (start, end, step)
+        column = Unsqueeze (place, one)
+        same = Equal (column, place)
+        far = Constant <value_float = 1e30> ()
+        zero = Constant <value_float = 0.0> ()
+        lifted = Where (same, far, zero)
+        squares = ReduceSumSquare <axes = [2], keepdims = 1> (rows)
+        across = Transpose <perm = [0, 2, 1]> (squares)
+        turned = Transpose <perm = [0, 2, 1]> (rows)
+        minus_two = Constant <value_float = -2.0> ()
+        doubled = Mul (turned, minus_two)
+        products = MatMul (rows, doubled)
+        masked = Add (across, lifted)
+        distances = Add (products, masked)
+        wanted = Constant <value_int: int = @k> ()
+        k1 = Reshape (wanted, one)
+        nearest, indices = TopK <axis = 2, largest = 0, sorted = 0> (distances, k1)
+    """
+    return _function("Neighbours", ["rows"], "indices", text, ["k"])
+
+
+def _edge_block_function() -> onnx.FunctionProto:
+    """`EdgeBlock`: features [B,N,24], indices [B,N,K] int64, own [24,48], own_bias [48], on_a [12,24], on_b [12,12]
+    -> [B,N,60]: the largest c, b and a over the K edges, and the features.
+
+    Columns of `own`, 12 each: the point's share of a, b and c, and what it is to the points whose neighbour it is.
+    Columns of `on_a`: a's share of b and of c; `on_b`: b's share of c.
+    """
+    g, c = network.GROWTH, network.BLOCK_CHANNELS
+    text = f"""
+        i0 = Constant <value_ints = [0]> ()
+        i1 = Constant <value_ints = [1]> ()
+        i2 = Constant <value_ints = [2]> ()
+        i3 = Constant <value_ints = [3]> ()
+        growth = Constant <value_ints = [{g}]> ()
+        rest = Constant <value_ints = [-1]> ()
+        shape = Shape (features)
+        batch = Slice (shape, i0, i1)
+        count = Slice (shape, i1, i2)
+        index_shape = Shape (indices)
+        k = Slice (index_shape, i2, i3)
+        start = Constant <value_int = 0> ()
+        step = Constant <value_int = 1> ()
+        items = Squeeze (batch)
+        item = Range (start, items, step)
+        first_row = Mul (item, count)
+        column = Constant <value_ints = [-1, 1, 1]> ()
+        offsets = Reshape (first_row, column)
+        rows = Add (indices, offsets)
+        flat_shape = Constant <value_ints = [-1, {c}]> ()
+        flat = Reshape (features, flat_shape)
+        points = Gemm (flat, own, own_bias)
+        parts = Constant <value_ints = [{g}, {g}, {g}, {g}]> ()
+        own_a, own_b, own_c, other = Split <axis = 1> (points, parts)
+        edges = Concat <axis = 0> (rest, k, growth)
+        edge_rows = Constant <value_ints = [-1, {g}]> ()
+        neighbours = Gather <axis = 0> (other, rows)
+        neighbour_edges = Reshape (neighbours, edges)
+        per_point_a = Unsqueeze (own_a, i1)
+        sum_a = Add (neighbour_edges, per_point_a)
+        a = Relu (sum_a)
+        a_rows = Reshape (a, edge_rows)
+        from_a = Gemm (a_rows, on_a)
+        halves = Constant <value_ints = [{g}, {g}]> ()
+        b_from_a, c_from_a = Split <axis = 1> (from_a, halves)
+        b_edges = Reshape (b_from_a, edges)
+        per_point_b = Unsqueeze (own_b, i1)
+        sum_b = Add (b_edges, per_point_b)
+        b = Relu (sum_b)
+        b_rows = Reshape (b, edge_rows)
+        c_rows = Gemm (b_rows, on_b, c_from_a)
+        c_edges = Reshape (c_rows, edges)
+        largest_c = ReduceMax <axes = [1], keepdims = 0> (c_edges)
+        largest_b = ReduceMax <axes = [1], keepdims = 0> (b)
+        largest_a = ReduceMax <axes = [1], keepdims = 0> (a)
+        whole_c = Add (largest_c, own_c)
+        joined = Concat <axis = 1> (whole_c, largest_b, largest_a, flat)
+        width = Constant <value_ints = [{3 * g + c}]> ()
+        out_shape = Concat <axis = 0> (batch, count, width)
+        block = Reshape (joined, out_shape)
+    """
+    inputs = ["features", "indices", "own", "own_bias", "on_a", "on_b"]
+    return _function("EdgeBlock", inputs, "block", text)
 
 
 def _skip(graph: _Graph, features: str) -> str:

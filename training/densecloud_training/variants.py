@@ -1,7 +1,5 @@
 """Other forms of the unit, to be measured against the plain one; a config's `[unit]` table chooses them.
 
-* `neighbours = "space"`: the first edge block takes each point's nearest by coordinates instead of by features;
-  `"space-shared"`: so do all blocks, which then search once a patch.
 * `code = "learned"`: the two values that tell a point's copies apart are parameters. (The plain unit's codes are
   constants times a learned column of weights, so both forms express the same functions; they learn at other rates.)
 * `start = "midpoints"`: the second copy starts halfway to a neighbour; see `partners`.
@@ -24,35 +22,24 @@ AHEAD = (0.36, 0.48, 0.8)
 
 def build_cascade(levels: int, k: int, switches: Switches) -> Cascade:
     """The cascade that a config asks for: of plain `Unit`s unless a switch changes what a unit computes."""
-    plain = Switches(shared=switches.shared)
+    plain = Switches(neighbours=switches.neighbours, shared=switches.shared)
     count = 1 if switches.shared else levels
-    units = [Unit(k) if switches == plain else VariantUnit(k, switches) for _ in range(count)]
-    return Cascade(levels, k, units * levels if switches.shared else units)
+    units = [Unit(k, switches.neighbours) if switches == plain else VariantUnit(k, switches) for _ in range(count)]
+    return Cascade(units=units * levels if switches.shared else units)
 
 
 class VariantUnit(Unit):
-    """A unit with other neighbours, codes, starting positions or without the skip; parameters as in `Unit`, and two
+    """A unit with other codes, starting positions or without the skip; parameters as in `Unit`, and two
     more for learned codes."""
 
     def __init__(self, k: int, switches: Switches):
-        super().__init__(k)
+        super().__init__(k, switches.neighbours)
         self.switches = switches
         if switches.code == "learned":
             self.codes = nn.Parameter(torch.tensor(CODES))
 
     def forward(self, points: torch.Tensor, previous: Previous = None) -> UnitOutput:
         return super().forward(points, previous if self.switches.skip else None)
-
-    def extract(self, points: torch.Tensor) -> torch.Tensor:
-        if self.switches.neighbours == "features":
-            return super().extract(points)
-        spatial = nearest_others(points, self.k)
-        later = spatial if self.switches.neighbours == "space-shared" else None
-        features = self.lift(points)
-        features = torch.cat([self.blocks[0](features, spatial), features], dim=-1)
-        for squeeze, block in zip(self.squeezes, self.blocks[1:]):
-            features = torch.cat([block(functional.relu(squeeze(features)), later), features], dim=-1)
-        return features
 
     def upsample(self, points: torch.Tensor, features: torch.Tensor) -> torch.Tensor:
         first, *others = self.expand
