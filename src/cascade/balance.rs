@@ -16,8 +16,8 @@ const REGION: usize = 32;
 /// A region is never thought more than this many times too crowded or too empty.
 const MOST: f32 = 3.0;
 
-/// Chooses `size` of `points`, which are in the order of farthest point sampling: their indices,
-/// in the order of a sampling that is as dense in each region as the input makes plausible.
+/// Chooses `size` of the `candidates` that `sampled` names in the order of farthest point sampling:
+/// their indices, in the order of a sampling that is as dense in each region as the input makes plausible.
 ///
 /// Farthest point sampling spreads points evenly over whatever it is given. Where a part is thinner
 /// than the input's spacing, what the units make is a tuft rather than a surface, and takes points
@@ -25,20 +25,32 @@ const MOST: f32 = 3.0;
 /// area of about the square of the distance to its nearest others. So a region gets the geometric
 /// mean of what even spacing gives it and what the input's areas give it. Every prefix of the order
 /// is an even sampling, hence a point is taken the later, the more crowded its region is.
-pub(super) fn balanced(points: &[Point], size: usize, input: &Measured) -> Vec<u32> {
-    let region_of: Vec<Option<u32>> =
-        points.par_iter().map(|p| input.tree.nearest_one(*p).map(|n| n.index)).collect();
+///
+/// Fastest when neighbours among the candidates lie near each other in memory.
+pub(super) fn balanced(candidates: &[Point], sampled: &[u32], size: usize, input: &Measured) -> Vec<u32> {
+    let mut wanted = vec![false; candidates.len()];
+    sampled.iter().for_each(|&i| wanted[i as usize] = true);
+    let region = |(p, wanted): (&Point, &bool)| {
+        let nearest = wanted.then(|| input.tree.nearest_one(*p)).flatten();
+        nearest.map_or(u32::MAX, |n| n.index)
+    };
+    let region_of: Vec<u32> = candidates.par_iter().zip(&wanted).map(region).collect();
     let mut counts = vec![0.0_f32; input.points.len()];
-    for &index in region_of[..size].iter().flatten() {
-        counts[index as usize] += 1.0;
+    for &i in &sampled[..size] {
+        if let Some(count) = counts.get_mut(region_of[i as usize] as usize) {
+            *count += 1.0;
+        }
     }
     let excess: Vec<f32> = crowding(&counts, input).into_iter().map(f32::sqrt).collect();
-    let mut order: Vec<(f32, u32)> = (0..points.len() as u32)
-        .zip(&region_of)
-        .map(|(rank, region)| (rank as f32 * region.map_or(1.0, |r| excess[r as usize]), rank))
+    let mut order: Vec<(f32, u32)> = (0..sampled.len() as u32)
+        .into_par_iter()
+        .map(|rank| {
+            let region = region_of[sampled[rank as usize] as usize];
+            (rank as f32 * excess.get(region as usize).copied().unwrap_or(1.0), rank)
+        })
         .collect();
     order.par_sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-    order[..size].iter().map(|o| o.1).collect()
+    order[..size].iter().map(|o| sampled[o.1 as usize]).collect()
 }
 
 /// Points per area around each input point, beside the median; `counts` of the points nearest to it.
@@ -92,7 +104,7 @@ mod tests {
         let order = sampled(&scene(20_000, 20_000, 0.08, 2), 2800);
         let tuft = |points: &mut dyn Iterator<Item = &Point>| points.filter(|p| p[0] > 1.5).count();
         let even = tuft(&mut order[..2000].iter());
-        let kept = balanced(&order, 2000, &input);
+        let kept = balanced(&order, &(0..2800).collect::<Vec<_>>(), 2000, &input);
         let balanced = tuft(&mut kept.iter().map(|&i| &order[i as usize]));
         assert_eq!(kept.len(), 2000);
         // By area it were 400.
@@ -104,7 +116,8 @@ mod tests {
     fn an_even_cloud_keeps_its_points_and_their_order() {
         let input = sampled(&scene(20_000, 0, 0.0, 1), 500);
         let order = sampled(&scene(20_000, 0, 0.0, 2), 2800);
-        let kept = balanced(&order, 2000, &Measured::new(&input, vec![0.05; 500]));
+        let input = Measured::new(&input, vec![0.05; 500]);
+        let kept = balanced(&order, &(0..2800).collect::<Vec<_>>(), 2000, &input);
         let same = kept.iter().filter(|i| **i < 2000).count();
         assert!(same > 1800, "{same} of the first 2000 kept");
         // Borders aside, what comes early in the one order does in the other.

@@ -86,18 +86,13 @@ impl Level {
         if observer.cancelled() {
             return Err(CascadeError::Cancelled);
         }
-        // The polish wants the level's full density, also where the target is lower.
-        let polished = self.last && settings.polish;
-        let count = if polished { doubled.max(size).min(merged.len()) } else { size };
-        let first = random.below(merged.len() as u64) as usize;
-        let kept = farthest_point_sampling(&merged, count, first);
-        let mut points: Vec<Point> = kept.iter().map(|&i| merged[i as usize]).collect();
-        if polished {
-            if observer.cancelled() {
-                return Err(CascadeError::Cancelled);
-            }
-            points = polish(&merged, &points, size, &measured, &mut random);
-        }
+        let points = if self.last && settings.polish {
+            polish(&merged, doubled.max(size), size, &measured, &mut random)
+        } else {
+            let first = random.below(merged.len() as u64) as usize;
+            let kept = farthest_point_sampling(&merged, size, first);
+            kept.iter().map(|&i| merged[i as usize]).collect()
+        };
         Ok(Done { points, previous, measured: (!self.last).then_some(measured) })
     }
 

@@ -12,16 +12,16 @@ use rayon::prelude::*;
 use super::balance::{SURPLUS, balanced};
 use super::strays::Measured;
 use crate::cloud::Point;
-use crate::geometry::{
-    KdTree, Neighbour, Rng, estimate_normals, farthest_point_sampling, project_to_surface,
-};
+use crate::geometry::{KdTree, Neighbour, Rng, farthest_point_sampling, normal, project_to_surface};
 
 /// Neighbours that a point shares midpoints with: the ring around it, and some.
 const NEIGHBOURS: usize = 7;
 /// An input point further than this from every midpoint, in its own spacing, is a tip that they fall
 /// short of.
 const SHORT: f32 = 0.5;
-/// Neighbours that a normal is estimated from.
+/// Points of the sample whose midpoints are looked at for that.
+const AROUND: usize = 16;
+/// Neighbours that a normal is estimated from, the point itself among them.
 const NORMAL_NEIGHBOURS: usize = 12;
 /// A midpoint is of one surface if the edge lies within 45 degrees of both tangent planes: this is
 /// the sine. Others bridge sheets or cut corners.
@@ -35,55 +35,117 @@ const PUSH: f32 = 0.4;
 /// No step is longer than this share of the usual distance.
 const FARTHEST: f32 = 0.2;
 
-/// `size` points, spread evenly over what the unit `made`, of which `sample` is an even sample.
+/// `size` points, spread evenly over what the unit `made`, ordered as by farthest point sampling.
+///
+/// `full` is the size of the level's output, from whose midpoints they are chosen: farthest point
+/// sampling thins out what exceeds it by more than a tenth. (Less is not worth its time: the midpoints
+/// are thinned out anyway.)
 pub(super) fn polish(
     made: &[Point],
-    sample: &[Point],
+    full: usize,
     size: usize,
     input: &Measured,
     random: &mut Rng,
 ) -> Vec<Point> {
-    let mut candidates = midpoints(sample);
-    if candidates.len() < size {
-        candidates.extend_from_slice(sample);
-    }
-    candidates.extend(fallen_short_of(&candidates, input));
+    // From here on neighbours in space are neighbours in memory.
+    let (tree, made) = KdTree::in_order(made);
+    let candidates = if made.len() > full + full / 10 {
+        let first = random.below(made.len() as u64) as usize;
+        let mut kept = farthest_point_sampling(&made, full, first);
+        kept.par_sort_unstable();
+        let sample: Vec<Point> = kept.iter().map(|&i| made[i as usize]).collect();
+        candidates(&KdTree::new(&sample), &sample, size, input)
+    } else {
+        candidates(&tree, &made, size, input)
+    };
     let first = random.below(candidates.len() as u64) as usize;
     let count = ((SURPLUS * size as f64) as usize).min(candidates.len());
-    let order = farthest_point_sampling(&candidates, count, first);
-    let order: Vec<Point> = order.iter().map(|&i| candidates[i as usize]).collect();
-    let mut dense: Vec<Point> = balanced(&order, size, input).iter().map(|&i| order[i as usize]).collect();
+    let order = balanced(&candidates, &farthest_point_sampling(&candidates, count, first), size, input);
+
+    let mut chosen = order.clone();
+    chosen.par_sort_unstable();
+    let mut dense: Vec<Point> = chosen.par_iter().map(|&i| candidates[i as usize]).collect();
     relax(&mut dense);
-    project_to_surface(&mut dense, made, &KdTree::new(made));
-    dense
+    project_to_surface(&mut dense, &made, &tree);
+
+    let mut place_of = vec![0; candidates.len()];
+    chosen.iter().zip(0_u32..).for_each(|(&i, place)| place_of[i as usize] = place);
+    order.par_iter().map(|&i| dense[place_of[i as usize] as usize]).collect()
+}
+
+/// What the result is chosen from: midpoints of the sample, and what they fall short of. `tree` must be
+/// built from `sample`.
+fn candidates(tree: &KdTree, sample: &[Point], size: usize, input: &Measured) -> Vec<Point> {
+    let rings = rings(tree, sample);
+    let mut candidates = midpoints(sample, &rings);
+    let too_few = candidates.len() < size;
+    if too_few {
+        candidates.extend_from_slice(sample);
+    }
+    candidates.extend(fallen_short_of(tree, sample, &rings, too_few, input));
+    candidates
+}
+
+/// The nearest others of a point that lie on the same surface.
+#[derive(Clone, Copy, Default)]
+struct Ring {
+    others: [u32; NEIGHBOURS],
+    count: u8,
+}
+
+impl Ring {
+    fn others(&self) -> &[u32] {
+        &self.others[..usize::from(self.count)]
+    }
+}
+
+/// The ring of each of `points`, of which `tree` is built; best when they lie in the order of a tree.
+fn rings(tree: &KdTree, points: &[Point]) -> Vec<Ring> {
+    let around = |found: &mut Vec<Neighbour>, i: usize| {
+        tree.nearest(points[i], NORMAL_NEIGHBOURS, found);
+        let mut ring = Ring::default();
+        for n in found.iter().filter(|n| n.index as usize != i).take(NEIGHBOURS) {
+            ring.others[usize::from(ring.count)] = n.index;
+            ring.count += 1;
+        }
+        (ring, normal(points, found))
+    };
+    let (mut rings, normals): (Vec<Ring>, Vec<[f32; 3]>) =
+        (0..points.len()).into_par_iter().map_init(Vec::new, around).unzip();
+    rings.par_iter_mut().enumerate().for_each(|(i, ring)| {
+        let all = *ring;
+        ring.count = 0;
+        for &j in all.others() {
+            let edge: [f32; 3] = std::array::from_fn(|a| points[j as usize][a] - points[i][a]);
+            let length = edge.iter().map(|c| c * c).sum::<f32>().sqrt();
+            let steep = |n: [f32; 3]| (0..3).map(|a| n[a] * edge[a]).sum::<f32>().abs() > STEEPEST * length;
+            if !steep(normals[i]) && !steep(normals[j as usize]) {
+                ring.others[usize::from(ring.count)] = j;
+                ring.count += 1;
+            }
+        }
+    });
+    rings
 }
 
 /// Pushes points apart that are nearer to each other than is usual around them: what farthest
 /// point sampling leaves uneven. The neighbours are found once, since points move little.
 fn relax(points: &mut [Point]) {
-    let pairs = neighbours(points);
-    let mut starts = vec![0; points.len() + 1];
-    for &(i, _) in &pairs {
-        starts[i as usize + 1] += 1;
-    }
-    for i in 0..points.len() {
-        starts[i + 1] += starts[i];
-    }
-    let around = |i: usize| &pairs[starts[i]..starts[i + 1]];
+    let rings = rings(&KdTree::new(points), points);
     for _ in 0..STEPS {
         let before = points.to_vec();
         let distance = |i: usize, j: u32| {
             let (p, q) = (before[i], before[j as usize]);
             (0..3).map(|a| (p[a] - q[a]).powi(2)).sum::<f32>().sqrt()
         };
-        let nearest: Vec<f32> = (0..before.len())
-            .into_par_iter()
-            .map(|i| around(i).iter().map(|p| distance(i, p.1)).fold(f32::INFINITY, f32::min))
+        let nearest: Vec<f32> = rings
+            .par_iter()
+            .enumerate()
+            .map(|(i, ring)| ring.others().iter().map(|&j| distance(i, j)).fold(f32::INFINITY, f32::min))
             .collect();
-        points.par_iter_mut().enumerate().for_each(|(i, point)| {
-            let pairs = around(i);
+        points.par_iter_mut().zip(&rings).enumerate().for_each(|(i, (point, ring))| {
             // A neighbour on a steep spot may have no neighbours of its own.
-            let known = pairs.iter().map(|p| nearest[p.1 as usize]).filter(|d| d.is_finite());
+            let known = ring.others().iter().map(|&j| nearest[j as usize]).filter(|d| d.is_finite());
             let (count, sum) = known.fold((0.0, 0.0), |(count, sum), d| (count + 1.0_f32, sum + d));
             if count == 0.0 {
                 return;
@@ -91,7 +153,7 @@ fn relax(points: &mut [Point]) {
             let usual = sum / count;
             let wanted = WANTED * usual;
             let mut push = [0.0; 3];
-            for &(_, j) in pairs {
+            for &j in ring.others() {
                 let length = distance(i, j);
                 if length < wanted && length > 0.0 {
                     let by = PUSH * (wanted - length) / length;
@@ -109,48 +171,41 @@ fn relax(points: &mut [Point]) {
     }
 }
 
-/// Of every point `i` its nearest others `j` on the same surface: pairs `(i, j)`, ascending by `i`.
-fn neighbours(points: &[Point]) -> Vec<(u32, u32)> {
-    let tree = KdTree::new(points);
-    let normals = estimate_normals(points, NORMAL_NEIGHBOURS);
-    let steep = |normal: [f32; 3], edge: [f32; 3], length: f32| {
-        (0..3).map(|a| normal[a] * edge[a]).sum::<f32>().abs() > STEEPEST * length
-    };
-    let pairs_of = |found: &mut Vec<Neighbour>, i: u32| -> Vec<(u32, u32)> {
-        let point = points[i as usize];
-        tree.nearest(point, NEIGHBOURS + 1, found);
-        let others = found.iter().filter(|n| n.index != i).filter(|n| {
-            let other = points[n.index as usize];
-            let edge = std::array::from_fn(|a| other[a] - point[a]);
-            let length = n.distance_squared.sqrt();
-            !steep(normals[i as usize], edge, length) && !steep(normals[n.index as usize], edge, length)
+/// The input points that no midpoint comes near (nor a point of the sample, where those are candidates
+/// `too`): what was measured must not vanish. Looks at the midpoints of the nearest points only.
+fn fallen_short_of(
+    tree: &KdTree,
+    sample: &[Point],
+    rings: &[Ring],
+    too: bool,
+    input: &Measured,
+) -> Vec<Point> {
+    let far = |found: &mut Vec<Neighbour>, (p, spacing): (&Point, &f32)| {
+        let limit = (SHORT * spacing).powi(2);
+        let near = |q: Point| (0..3).map(|a| (q[a] - p[a]).powi(2)).sum::<f32>() <= limit;
+        tree.nearest(*p, AROUND, found);
+        let reached = found.iter().any(|n| {
+            let q = sample[n.index as usize];
+            too && near(q)
+                || rings[n.index as usize].others().iter().any(|&j| near(middle(q, sample[j as usize])))
         });
-        others.map(|n| (i, n.index)).collect()
+        (!reached).then_some(*p)
     };
-    (0..points.len() as u32).into_par_iter().map_init(Vec::new, pairs_of).flatten_iter().collect()
+    input.points.par_iter().zip(&input.spacing).map_init(Vec::new, far).flatten_iter().collect()
 }
 
-/// The input points that no candidate comes near: what was measured must not vanish.
-fn fallen_short_of(candidates: &[Point], input: &Measured) -> Vec<Point> {
-    let tree = KdTree::new(candidates);
-    let points = input.points.par_iter().zip(&input.spacing);
-    let far = points.filter(|(p, spacing)| {
-        tree.nearest_one(**p).is_none_or(|n| n.distance_squared.sqrt() > SHORT * **spacing)
-    });
-    far.map(|(p, _)| *p).collect()
+fn middle(p: Point, q: Point) -> Point {
+    std::array::from_fn(|a| 0.5 * (p[a] + q[a]))
 }
 
-/// Of every point and its nearest others on the same surface, each pair once.
-fn midpoints(points: &[Point]) -> Vec<Point> {
-    let mut pairs = neighbours(points);
-    pairs.par_iter_mut().for_each(|pair| *pair = (pair.0.min(pair.1), pair.0.max(pair.1)));
-    pairs.par_sort_unstable();
-    pairs.dedup();
-    let middle = |&(i, j): &(u32, u32)| -> Point {
-        let (p, q) = (points[i as usize], points[j as usize]);
-        std::array::from_fn(|a| 0.5 * (p[a] + q[a]))
+/// Of every point and its ring; each pair once.
+fn midpoints(points: &[Point], rings: &[Ring]) -> Vec<Point> {
+    let of = |i: usize| {
+        let others = rings[i].others().iter().map(|&j| j as usize);
+        let first = others.filter(move |&j| i < j || !rings[j].others().contains(&(i as u32)));
+        first.map(move |j| middle(points[i], points[j]))
     };
-    pairs.par_iter().map(middle).collect()
+    (0..points.len()).into_par_iter().flat_map_iter(of).collect()
 }
 
 #[cfg(test)]
@@ -161,6 +216,10 @@ mod tests {
     fn square(n: u64, height: f32, seed: u64) -> Vec<Point> {
         let mut random = Rng::new(seed);
         (0..n).map(|_| [random.f64() as f32, random.f64() as f32, height]).collect()
+    }
+
+    fn all_midpoints(points: &[Point]) -> Vec<Point> {
+        midpoints(points, &rings(&KdTree::new(points), points))
     }
 
     /// Coefficient of variation of nearest-neighbour distances.
@@ -185,7 +244,7 @@ mod tests {
         let sample: Vec<Point> =
             farthest_point_sampling(&made, 2000, 0).iter().map(|&i| made[i as usize]).collect();
         let input = Measured::new(&sample[..500], vec![0.05; 500]);
-        let dense = polish(&made, &sample, 2000, &input, &mut Rng::new(5));
+        let dense = polish(&made, 2000, 2000, &input, &mut Rng::new(5));
         assert_eq!(dense.len(), 2000);
         assert!(dense.iter().all(|p| (p[2] - 0.5).abs() < 1e-6));
         let (before, after) = (variation(&sample), variation(&dense));
@@ -200,7 +259,7 @@ mod tests {
         let mut measured = sample[..500].to_vec();
         measured.push([0.5, 1.06, 0.5]);
         let input = Measured::new(&measured, vec![0.05; 501]);
-        let dense = polish(&made, &sample, 2000, &input, &mut Rng::new(5));
+        let dense = polish(&made, 2000, 2000, &input, &mut Rng::new(5));
         assert!(dense.iter().any(|p| p[1] > 1.04), "nothing near the tip");
     }
 
@@ -214,7 +273,7 @@ mod tests {
         };
         let (mut points, other) = (even(0.0, 1), even(0.035, 2));
         points.extend(other);
-        let middles = midpoints(&points);
+        let middles = all_midpoints(&points);
         let between = middles.iter().filter(|p| (0.01..0.025).contains(&p[2])).count();
         assert!(between * 40 < middles.len(), "{between} of {} between the sheets", middles.len());
     }
@@ -222,7 +281,7 @@ mod tests {
     #[test]
     fn every_pair_comes_once() {
         let points = square(60, 0.0, 4);
-        let mut middles: Vec<[u32; 3]> = midpoints(&points).iter().map(|p| p.map(f32::to_bits)).collect();
+        let mut middles: Vec<[u32; 3]> = all_midpoints(&points).iter().map(|p| p.map(f32::to_bits)).collect();
         let count = middles.len();
         assert!((60 * 7 / 2..=60 * 7).contains(&count), "{count} pairs");
         middles.sort_unstable();
@@ -234,6 +293,6 @@ mod tests {
     fn too_few_midpoints_are_made_up_for() {
         let points = vec![[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
         let input = Measured::new(&points, vec![1.0; 3]);
-        assert_eq!(polish(&points, &points, 5, &input, &mut Rng::new(1)).len(), 5);
+        assert_eq!(polish(&points, 5, 5, &input, &mut Rng::new(1)).len(), 5);
     }
 }

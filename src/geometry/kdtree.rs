@@ -4,6 +4,8 @@ use crate::cloud::Point;
 
 /// Points in a leaf at most; leaves hold between half of this and this.
 const LEAF: usize = 32;
+/// Halves of more points than this are built in parallel: less is not worth a task.
+const PARALLEL: usize = 1 << 13;
 /// Up to this many neighbours are kept sorted, which is faster than a heap for few.
 const SORTED_MAX: usize = 64;
 
@@ -39,7 +41,7 @@ pub struct KdTree {
     order: Vec<u32>,
     /// Coordinates in leaf order, one array an axis, so that a leaf's distances vectorise.
     axes: [Vec<f32>; 3],
-    /// Inner nodes of a complete binary tree: the children of `i` are `2 i + 1` and `2 i + 2`.
+    /// Inner nodes of a complete binary tree from left to right, so that a subtree's are together.
     /// The range of a node is halved exactly, so ranges need not be stored.
     splits: Vec<Split>,
     /// Number of levels of inner nodes.
@@ -56,7 +58,8 @@ struct Split {
 }
 
 impl KdTree {
-    /// Builds the tree: O(n log n). An empty slice gives a tree that finds nothing.
+    /// Builds the tree: O(n log n), on all threads of the current pool. An empty slice gives a tree
+    /// that finds nothing.
     ///
     /// At most 2^32 points; more are ignored.
     #[must_use]
@@ -68,7 +71,7 @@ impl KdTree {
         }
         let mut items: Vec<(Point, u32)> = points[..n].iter().copied().zip(0..).collect();
         let mut splits = vec![Split::default(); (1 << depth) - 1];
-        build(&mut items, 0, depth, &mut splits);
+        build(&mut items, depth, &mut splits);
         let (lo, hi) = bounds(&items);
         Self {
             order: items.iter().map(|&(_, i)| i).collect(),
@@ -78,6 +81,16 @@ impl KdTree {
             lo,
             hi,
         }
+    }
+
+    /// Builds the tree and puts the points into its order: index `i` is then the `i`th of the points
+    /// that come back, and points near each other mostly lie near each other in memory.
+    #[must_use]
+    pub fn in_order(points: &[Point]) -> (Self, Vec<Point>) {
+        let mut tree = Self::new(points);
+        let sorted = tree.order.iter().map(|&i| points[i as usize]).collect();
+        tree.order = (0..tree.order.len() as u32).collect();
+        (tree, sorted)
     }
 
     /// Number of points.
@@ -132,20 +145,21 @@ impl KdTree {
 
     fn search(&self, query: Point, best: &mut impl Best) {
         let offset = std::array::from_fn(|a| (self.lo[a] - query[a]).max(query[a] - self.hi[a]).max(0.0));
-        self.descend(query, Place { node: 0, start: 0, end: self.len(), level: 0 }, offset, best);
+        self.descend(query, Place { first: 0, start: 0, end: self.len(), height: self.depth }, offset, best);
     }
 
     /// `offset` is how far the node's cell is from the query on each axis. Its squared length is
     /// computed with the expression of the distances; rounding is monotone, so it never exceeds
     /// the computed distance of a point inside, and nothing is lost by comparing the two.
     fn descend(&self, query: Point, place: Place, offset: Point, best: &mut impl Best) {
-        let Place { node, start, end, level } = place;
-        if level == self.depth {
+        let Place { first, start, end, height } = place;
+        if height == 0 {
             return self.scan(query, start, end, best);
         }
         let middle = start.midpoint(end);
-        let left = Place { node: 2 * node + 1, start, end: middle, level: level + 1 };
-        let right = Place { node: 2 * node + 2, start: middle, end, level: level + 1 };
+        let node = first + (1 << (height - 1)) - 1;
+        let left = Place { first, start, end: middle, height: height - 1 };
+        let right = Place { first: node + 1, start: middle, end, height: height - 1 };
         let Split { axis, value } = self.splits[node];
         let beyond = query[axis as usize] - value;
         let (near, far) = if beyond <= 0.0 { (left, right) } else { (right, left) };
@@ -180,12 +194,13 @@ impl KdTree {
     }
 }
 
+/// A subtree: its first inner node, its points, and its levels of inner nodes.
 #[derive(Clone, Copy)]
 struct Place {
-    node: usize,
+    first: usize,
     start: usize,
     end: usize,
-    level: u32,
+    height: u32,
 }
 
 /// The best candidates so far. A key is the bits of the squared distance above the index: for
@@ -269,7 +284,7 @@ pub(super) fn squared([x, y, z]: Point) -> f32 {
     x * x + y * y + z * z
 }
 
-fn build(items: &mut [(Point, u32)], node: usize, levels: u32, splits: &mut [Split]) {
+fn build(items: &mut [(Point, u32)], levels: u32, splits: &mut [Split]) {
     if levels == 0 {
         // The order inside a leaf must not depend on how the selection below is implemented.
         items.sort_unstable_by_key(|&(_, i)| i);
@@ -282,10 +297,17 @@ fn build(items: &mut [(Point, u32)], node: usize, levels: u32, splits: &mut [Spl
     // Ties by index make the two halves unique.
     let (_, &mut (pivot, _), _) =
         items.select_nth_unstable_by(middle, |(p, i), (q, j)| p[axis].total_cmp(&q[axis]).then(i.cmp(j)));
-    splits[node] = Split { axis: axis as u32, value: pivot[axis] };
+    let parallel = items.len() > PARALLEL;
     let (left, right) = items.split_at_mut(middle);
-    build(left, 2 * node + 1, levels - 1, splits);
-    build(right, 2 * node + 2, levels - 1, splits);
+    let (left_splits, rest) = splits.split_at_mut((1 << (levels - 1)) - 1);
+    rest[0] = Split { axis: axis as u32, value: pivot[axis] };
+    let right_splits = &mut rest[1..];
+    if parallel {
+        rayon::join(|| build(left, levels - 1, left_splits), || build(right, levels - 1, right_splits));
+    } else {
+        build(left, levels - 1, left_splits);
+        build(right, levels - 1, right_splits);
+    }
 }
 
 fn bounds(items: &[(Point, u32)]) -> (Point, Point) {
@@ -350,6 +372,22 @@ mod tests {
                 prop_assert_eq!(&out, &brute(&points, q, k));
                 prop_assert_eq!(tree.nearest_one(q), brute(&points, q, 1).first().copied());
             }
+        }
+    }
+
+    #[test]
+    fn in_order_indices_name_the_points_that_come_back() {
+        let points = cloud(6, 40_000, 0);
+        let (tree, sorted) = KdTree::in_order(&points);
+        let plain = KdTree::new(&points);
+        let (mut found, mut wanted) = (Vec::new(), Vec::new());
+        for q in cloud(7, 50, 0) {
+            tree.nearest(q, 9, &mut found);
+            plain.nearest(q, 9, &mut wanted);
+            let at = |points: &[Point], found: &[Neighbour]| -> Vec<Point> {
+                found.iter().map(|n| points[n.index as usize]).collect()
+            };
+            assert_eq!(at(&sorted, &found), at(&points, &wanted));
         }
     }
 

@@ -30,6 +30,7 @@ pub use kdtree::{KdTree, Neighbour};
 pub use mesh::{Mesh, MeshError};
 pub use mls::project_to_surface;
 pub use normals::estimate_normals;
+pub(crate) use normals::normal;
 pub use poisson_disk::poisson_disk;
 pub use random::Rng;
 pub use shapes::{SHAPES, shape};

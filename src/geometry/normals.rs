@@ -37,7 +37,8 @@ pub fn estimate_normals(points: &[Point], k: usize) -> Vec<[f32; 3]> {
     normals
 }
 
-fn normal(points: &[Point], near: &[Neighbour]) -> [f32; 3] {
+/// The normal of one point whose nearest are `near`.
+pub(crate) fn normal(points: &[Point], near: &[Neighbour]) -> [f32; 3] {
     let share = 1.0 / near.len().max(1) as f64;
     let at = |n: &Neighbour| points[n.index as usize].map(f64::from);
     let mut mean = [0.0; 3];
