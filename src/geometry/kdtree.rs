@@ -310,7 +310,7 @@ fn build(items: &mut [(Point, u32)], levels: u32, splits: &mut [Split]) {
     }
 }
 
-fn bounds(items: &[(Point, u32)]) -> (Point, Point) {
+pub(super) fn bounds(items: &[(Point, u32)]) -> (Point, Point) {
     let mut lo = [f32::INFINITY; 3];
     let mut hi = [f32::NEG_INFINITY; 3];
     for (p, _) in items {

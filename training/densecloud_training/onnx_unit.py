@@ -4,7 +4,7 @@ Building it by hand rather than tracing keeps the file the same whatever PyTorch
 stay dynamic, and leaves out what a tracer adds. The graph is the fast form of `network.Unit`: all linear maps act on
 flat [rows, channels] matrices, so that ONNX Runtime runs each as one Gemm with its bias (and ReLU) fused.
 
-What costs most, the neighbour search and the edge block, are operators of the domain `densecloud`, whose bodies the
+What costs most, the neighbour search, the edge block and the skip, are operators of the domain `densecloud`, whose bodies the
 file carries as functions of standard operators. Any ONNX runtime can run it so; the program registers faster kernels of
 the same names and takes those.
 
@@ -46,14 +46,16 @@ def build_unit(
     features = _extract(graph, k, neighbours)
     if unit > 1:
         features = _skip(graph, features)
-    graph.node("Reshape", [features, graph.ints("to_features", [0, -1, network.CHANNELS], head="batch")], "features")
-    _upsample(graph, features)
+    clouds = graph.ints("to_features", [0, -1, network.CHANNELS], head="batch")
+    graph.node("Reshape", [features, clouds], "features")
+    rows = graph.node("Reshape", [features, graph.ints("feature_rows", [-1, network.CHANNELS])])
+    _upsample(graph, rows)
     outputs = [_value("dense", ["B", "2N", 3]), _value("features", ["B", "N", network.CHANNELS])]
     model = helper.make_model(
         helper.make_graph(graph.nodes, f"densecloud_unit{unit}", inputs, outputs, graph.initializers),
         producer_name="densecloud",
         opset_imports=[helper.make_opsetid("", OPSET), helper.make_opsetid(DOMAIN, DOMAIN_VERSION)],
-        functions=[_neighbours_function(), _edge_block_function()],
+        functions=[_neighbours_function(), _edge_block_function(), *([_skip_function()] if unit > 1 else [])],
         ir_version=IR_VERSION,
     )
     parameters = sum(int(np.prod(array.shape)) for array in state.values())
@@ -257,28 +259,44 @@ def _edge_block_function() -> onnx.FunctionProto:
 
 
 def _skip(graph: _Graph, features: str) -> str:
-    """The bilateral mean of the previous level's features; widths as in `network.relative`."""
-    neighbours, channels = network.SKIP_NEIGHBOURS, network.CHANNELS
-    per_patch = graph.ints("skip_shape", [0, -1, neighbours], head="batch")
-    others = graph.node("Gather", ["previous_features", "skip_indices"], axis=0)
-    others = graph.node("Reshape", [others, graph.ints("skip_rows", [-1, neighbours, channels])])
-    difference = graph.node("Sub", [others, graph.node("Unsqueeze", [features, graph.ints("per_point", [1])])])
-    featural = graph.node("ReduceSumSquare", [difference], axes=[2], keepdims=0)
-    featural = _relative(graph, graph.node("Reshape", [featural, per_patch]))
-    total = graph.node("Add", [_relative(graph, "skip_distances"), featural])
-    weights = graph.node("Softmax", [graph.node("Mul", [total, graph.floats("minus_two", -2.0)])], axis=2)
-    # The factor 0.2 goes into the few weights, not into the many features.
-    weights = graph.node("Mul", [weights, graph.floats("skip_factor", network.SKIP_FACTOR)])
-    weights = graph.node("Reshape", [weights, graph.ints("weight_rows", [-1, 1, neighbours])])
-    mean = graph.node("MatMul", [weights, others])
-    mean = graph.node("Reshape", [mean, graph.ints("feature_rows", [-1, channels])])
-    return graph.node("Add", [features, mean])
+    """[B*N,264] -> [B,N,264]."""
+    clouds = graph.node("Reshape", [features, graph.ints("skip_clouds", [0, -1, network.CHANNELS], head="batch")])
+    inputs = [clouds, "previous_features", "skip_indices", "skip_distances"]
+    return graph.node("BilateralSkip", inputs, domain=DOMAIN)
 
 
-def _relative(graph: _Graph, distances: str) -> str:
-    smallest = graph.node("ReduceMin", [distances], axes=[2], keepdims=1)
-    width = graph.node("ReduceMean", [smallest], axes=[1], keepdims=1)
-    return graph.node("Div", [distances, graph.node("Max", [width, graph.floats("smallest_width", 1e-10)])])
+def _skip_function() -> onnx.FunctionProto:
+    """`BilateralSkip`: features [B,N,264], previous [M,264], indices [B,N,5] int64, distances [B,N,5] (squared)
+    -> [B,N,264]: the features and 0.2 times the bilateral mean of the previous ones; widths as in `network.relative`.
+    """
+    text = f"""
+        others = Gather <axis = 0> (previous, indices)
+        i2 = Constant <value_ints = [2]> ()
+        own = Unsqueeze (features, i2)
+        difference = Sub (others, own)
+        featural = ReduceSumSquare <axes = [3], keepdims = 0> (difference)
+        smallest_width = Constant <value_float = 1e-10> ()
+        least_f = ReduceMin <axes = [2], keepdims = 1> (featural)
+        mean_f = ReduceMean <axes = [1], keepdims = 1> (least_f)
+        width_f = Max (mean_f, smallest_width)
+        relative_f = Div (featural, width_f)
+        least_s = ReduceMin <axes = [2], keepdims = 1> (distances)
+        mean_s = ReduceMean <axes = [1], keepdims = 1> (least_s)
+        width_s = Max (mean_s, smallest_width)
+        relative_s = Div (distances, width_s)
+        total = Add (relative_s, relative_f)
+        minus_two = Constant <value_float = -2.0> ()
+        exponents = Mul (total, minus_two)
+        weights = Softmax <axis = 2> (exponents)
+        factor = Constant <value_float = {network.SKIP_FACTOR}> ()
+        shares = Mul (weights, factor)
+        i3 = Constant <value_ints = [3]> ()
+        columns = Unsqueeze (shares, i3)
+        weighted = Mul (others, columns)
+        mean = ReduceSum <keepdims = 0> (weighted, i2)
+        result = Add (features, mean)
+    """
+    return _function("BilateralSkip", ["features", "previous", "indices", "distances"], "result", text)
 
 
 def _upsample(graph: _Graph, features: str) -> None:

@@ -7,12 +7,16 @@
 
 mod edge_block;
 mod neighbours;
+mod skip;
 
 use ort::operator::OperatorDomain;
 
-/// The domain with both kernels.
+/// The domain with all kernels.
 pub(super) fn domain() -> ort::Result<OperatorDomain> {
-    OperatorDomain::new("densecloud")?.add(neighbours::Neighbours)?.add(edge_block::EdgeBlock)
+    OperatorDomain::new("densecloud")?
+        .add(neighbours::Neighbours)?
+        .add(edge_block::EdgeBlock)?
+        .add(skip::BilateralSkip)
 }
 
 /// The sizes of a tensor of three axes.
