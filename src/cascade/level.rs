@@ -72,28 +72,31 @@ impl Level {
         observer.begin(self.number, Stage::Units);
         let (merged, features) = self.run_units(&patches, skip.as_ref(), workers, observer)?;
         let Patches { rows, spacing, .. } = patches;
-        let measured = self.measured.unwrap_or_else(|| Measured::new(&self.points, spacing));
+        // The features that this level read are what takes most memory: gone before sampling begins.
+        let Self { number, unit, last, points, previous, measured } = self;
+        drop((previous, skip));
+        let measured = measured.unwrap_or_else(|| Measured::new(&points, spacing));
         let limits = (settings.max_displacement as f32, settings.max_distance as f32);
-        let doubled = 2 * self.points.len();
+        let doubled = 2 * points.len();
         let merged = without_strays(merged, doubled.max(size), limits.0, limits.1, &measured);
         if merged.len() < size {
             let why = "it made points that are not finite; the model is unusable".into();
-            return Err(BackendError::Run { unit: self.unit + 1, why }.into());
+            return Err(BackendError::Run { unit: unit + 1, why }.into());
         }
-        let previous = (!self.last).then_some(Previous { points: self.points, features, rows });
+        let previous = (!last).then_some(Previous { points, features, rows });
 
-        observer.begin(self.number, Stage::Resample);
+        observer.begin(number, Stage::Resample);
         if observer.cancelled() {
             return Err(CascadeError::Cancelled);
         }
-        let points = if self.last && settings.polish {
-            polish(&merged, doubled.max(size), size, &measured, &mut random)
+        let points = if last && settings.polish {
+            polish(&merged, doubled.max(size), size, &measured, &mut random, observer)?
         } else {
             let first = random.below(merged.len() as u64) as usize;
             let kept = farthest_point_sampling(&merged, size, first);
             kept.iter().map(|&i| merged[i as usize]).collect()
         };
-        Ok(Done { points, previous, measured: (!self.last).then_some(measured) })
+        Ok(Done { points, previous, measured: (!last).then_some(measured) })
     }
 
     /// Runs every patch, each into its own part of the merged cloud (two points for each one that

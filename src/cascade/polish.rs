@@ -11,6 +11,7 @@ use rayon::prelude::*;
 
 use super::balance::{SURPLUS, balanced};
 use super::strays::Measured;
+use super::{CascadeError, Observer};
 use crate::cloud::Point;
 use crate::geometry::{KdTree, Neighbour, Rng, farthest_point_sampling, normal, project_to_surface};
 
@@ -46,7 +47,10 @@ pub(super) fn polish(
     size: usize,
     input: &Measured,
     random: &mut Rng,
-) -> Vec<Point> {
+    observer: &dyn Observer,
+) -> Result<Vec<Point>, CascadeError> {
+    let go_on = || if observer.cancelled() { Err(CascadeError::Cancelled) } else { Ok(()) };
+
     // From here on neighbours in space are neighbours in memory.
     let (tree, made) = KdTree::in_order(made);
     let candidates = if made.len() > full + full / 10 {
@@ -58,6 +62,7 @@ pub(super) fn polish(
     } else {
         candidates(&tree, &made, size, input)
     };
+    go_on()?;
     let first = random.below(candidates.len() as u64) as usize;
     let count = ((SURPLUS * size as f64) as usize).min(candidates.len());
     let order = balanced(&candidates, &farthest_point_sampling(&candidates, count, first), size, input);
@@ -65,12 +70,14 @@ pub(super) fn polish(
     let mut chosen = order.clone();
     chosen.par_sort_unstable();
     let mut dense: Vec<Point> = chosen.par_iter().map(|&i| candidates[i as usize]).collect();
+    go_on()?;
     relax(&mut dense);
+    go_on()?;
     project_to_surface(&mut dense, &made, &tree);
 
     let mut place_of = vec![0; candidates.len()];
     chosen.iter().zip(0_u32..).for_each(|(&i, place)| place_of[i as usize] = place);
-    order.par_iter().map(|&i| dense[place_of[i as usize] as usize]).collect()
+    Ok(order.par_iter().map(|&i| dense[place_of[i as usize] as usize]).collect())
 }
 
 /// What the result is chosen from: midpoints of the sample, and what they fall short of. `tree` must be
@@ -211,6 +218,7 @@ fn midpoints(points: &[Point], rings: &[Ring]) -> Vec<Point> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::cascade::Silent;
 
     /// A square of unit side, at some height.
     fn square(n: u64, height: f32, seed: u64) -> Vec<Point> {
@@ -244,7 +252,7 @@ mod tests {
         let sample: Vec<Point> =
             farthest_point_sampling(&made, 2000, 0).iter().map(|&i| made[i as usize]).collect();
         let input = Measured::new(&sample[..500], vec![0.05; 500]);
-        let dense = polish(&made, 2000, 2000, &input, &mut Rng::new(5));
+        let dense = polish(&made, 2000, 2000, &input, &mut Rng::new(5), &Silent).unwrap();
         assert_eq!(dense.len(), 2000);
         assert!(dense.iter().all(|p| (p[2] - 0.5).abs() < 1e-6));
         let (before, after) = (variation(&sample), variation(&dense));
@@ -259,7 +267,7 @@ mod tests {
         let mut measured = sample[..500].to_vec();
         measured.push([0.5, 1.06, 0.5]);
         let input = Measured::new(&measured, vec![0.05; 501]);
-        let dense = polish(&made, 2000, 2000, &input, &mut Rng::new(5));
+        let dense = polish(&made, 2000, 2000, &input, &mut Rng::new(5), &Silent).unwrap();
         assert!(dense.iter().any(|p| p[1] > 1.04), "nothing near the tip");
     }
 
@@ -293,6 +301,6 @@ mod tests {
     fn too_few_midpoints_are_made_up_for() {
         let points = vec![[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
         let input = Measured::new(&points, vec![1.0; 3]);
-        assert_eq!(polish(&points, 5, 5, &input, &mut Rng::new(1)).len(), 5);
+        assert_eq!(polish(&points, 5, 5, &input, &mut Rng::new(1), &Silent).unwrap().len(), 5);
     }
 }
