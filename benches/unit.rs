@@ -43,7 +43,7 @@ fn main() {
     let mut output = Output::default();
     let mut times = vec![Vec::new(); backend.units() + 1];
     for _ in 0..runs {
-        for unit in 0..backend.units() {
+        for (unit, times) in times[..backend.units()].iter_mut().enumerate() {
             let batch = Batch {
                 patches: 1,
                 patch_points: n,
@@ -53,7 +53,7 @@ fn main() {
             };
             let start = Instant::now();
             session.run(unit, &batch, &mut output).expect("a run");
-            times[unit].push(start.elapsed().as_secs_f64());
+            times.push(start.elapsed().as_secs_f64());
         }
         if times[0].len() % 10 == 0 {
             let start = Instant::now();

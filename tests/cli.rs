@@ -130,7 +130,7 @@ fn mistakes_are_told_with_what_to_do() {
         (vec!["upsample", &input, out, "--ratio", "nan"], 64, "outside 1 to 64"),
         (vec!["upsample", &input, out, "--ratio", "2", "--points", "200"], 64, "cannot be used with"),
         (vec!["upsample", &input, out, "--points", "99"], 1, "ask for 100 to 6400"),
-        (vec!["upsample", text(&few), out], 1, "needs at least 33"),
+        (vec!["upsample", text(&few), out], 1, "needs at least 17"),
         (vec!["upsample", text(&noise), out], 1, "noise.ply"),
         (vec!["upsample", "/nowhere/in.ply", out], 1, "No such file"),
         (vec!["upsample", &input, "/nowhere/out.ply"], 1, "No such file"),

@@ -14,7 +14,7 @@ mod workers;
 pub use fake::Fake;
 pub use model::{Card, Model, UnitFile};
 pub use onnx::OnnxBackend;
-pub use workers::{Worker, Workers};
+pub use workers::{Lane, Worker, Workers};
 
 /// How many nearest points of the previous level each point takes skip features from (the paper's
 /// section 3.2, inter-level skip connections).

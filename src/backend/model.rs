@@ -146,10 +146,10 @@ mod tests {
     }
 
     #[test]
-    fn the_embedded_model_is_the_papers_size() {
+    fn the_embedded_model_has_the_papers_parameters() {
         let model = Model::embedded().unwrap();
         assert_eq!(model.card.parameters, 304_108);
-        assert_eq!(model.shape(), UnitShape { patch_size: 312, neighbours: 32, channels: 264 });
+        assert_eq!(model.shape(), UnitShape { patch_size: 312, neighbours: 16, channels: 264 });
         assert_eq!(model.units.len(), 4);
     }
 

@@ -74,21 +74,15 @@ impl Backend for OnnxBackend {
     }
 }
 
-fn build(environment: &Environment, bytes: &[u8]) -> Result<OrtSession, String> {
+fn build(environment: &Environment, bytes: &[u8]) -> ort::Result<OrtSession> {
     // The memory pattern planner keeps a plan for every shape it meets; batches differ in the
     // number of skip features, so it would only grow.
-    OrtSession::builder(environment)
-        .map_err(|e| e.to_string())?
-        .with_intra_threads(1)
-        .map_err(|e| e.to_string())?
-        .with_memory_pattern(false)
-        .map_err(|e| e.to_string())?
-        .with_operators(operators::domain().map_err(|e| e.to_string())?)
-        .map_err(|e| e.to_string())?
-        .with_optimization_level(GraphOptimizationLevel::All)
-        .map_err(|e| e.to_string())?
+    OrtSession::builder(environment)?
+        .with_intra_threads(1)?
+        .with_memory_pattern(false)?
+        .with_operators(operators::domain()?)?
+        .with_optimization_level(GraphOptimizationLevel::All)?
         .commit_from_memory(bytes)
-        .map_err(|e| e.to_string())
 }
 
 struct OnnxSession {
@@ -132,5 +126,77 @@ impl OnnxSession {
             output.features.extend_from_slice(outputs["features"].try_extract_tensor::<f32>()?.1);
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::backend::{SkipInput, UnitFile};
+    use crate::geometry::Rng;
+
+    /// The same graphs with their operators in a domain that nobody registers, so that only the functions
+    /// in the file are left. (Within a process ONNX Runtime keeps what was registered once.)
+    fn without_kernels(mut model: Model) -> Model {
+        for bytes in &mut model.units {
+            let (domain, other) = (b"densecloud", b"standalone");
+            let mut at = 0;
+            while let Some(found) = bytes[at..].windows(domain.len()).position(|window| window == domain) {
+                at += found;
+                bytes.to_mut()[at..at + domain.len()].copy_from_slice(other);
+            }
+            assert!(at > 0, "the graph has no operators of ours");
+        }
+        model
+    }
+
+    /// Output of a unit on random points.
+    fn run(model: Model, unit: usize, points: usize) -> Output {
+        let (backend, model) = {
+            let model = Arc::new(model);
+            (OnnxBackend::new(Arc::clone(&model)).unwrap(), model)
+        };
+        let mut session = backend.open().unwrap();
+        let mut random = Rng::new(7);
+        let mut numbers = |n: usize| -> Vec<f32> { (0..n).map(|_| random.f64() as f32 - 0.5).collect() };
+        let (cloud, features) = (numbers(points * 3), numbers(200 * model.card.channels));
+        let distances: Vec<f32> = numbers(points * SKIP_NEIGHBOURS).iter().map(|d| 1.0 + d).collect();
+        let indices: Vec<i64> = (0..points * SKIP_NEIGHBOURS).map(|i| (i * 37 % 200) as i64).collect();
+        let skip = SkipInput { features: &features, indices: &indices, distances: &distances };
+        let batch = Batch {
+            patches: 1,
+            patch_points: points,
+            points: &cloud,
+            skip: (unit > 0).then_some(skip),
+            want_features: true,
+        };
+        let mut output = Output::default();
+        session.run(unit, &batch, &mut output).unwrap();
+        output
+    }
+
+    #[test]
+    fn our_kernels_agree_with_the_functions_in_the_file() {
+        let model = Model::embedded().unwrap();
+        for unit in 0..model.units.len() {
+            for points in [model.card.patch_size, model.card.neighbours + 1] {
+                let ours = run(model.clone(), unit, points);
+                let plain = run(without_kernels(model.clone()), unit, points);
+                for (ours, plain) in [(&ours.dense, &plain.dense), (&ours.features, &plain.features)] {
+                    assert_eq!(ours.len(), plain.len());
+                    let worst = ours.iter().zip(plain).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+                    assert!(worst < 1e-4, "{worst} at unit {}, {points} points", unit + 1);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_file_that_is_no_graph_is_refused_by_name() {
+        let mut model = Model::embedded().unwrap();
+        model.units[1] = Cow::Borrowed(b"no graph");
+        model.card.units[1] = UnitFile { file: "second.onnx".into(), sha256: String::new() };
+        let refused = OnnxBackend::new(Arc::new(model)).unwrap().open().err().unwrap().to_string();
+        assert!(refused.contains("second.onnx"), "{refused}");
     }
 }

@@ -31,7 +31,7 @@ mod strays;
 pub use observer::{Observer, Silent, Stage};
 pub use plan::{MAX_RATIO, Target};
 
-use crate::backend::{BackendError, Workers};
+use crate::backend::{BackendError, Lane, Workers};
 use crate::cloud::{FrameError, Position};
 use input::Input;
 use level::{Done, Level};
@@ -176,7 +176,8 @@ pub fn upsample(
     let input = Input::prepare(positions)?;
     let plan = Plan::new(target, input.finite, input.points.len(), input.duplicates(), shape)?;
     observer.plan(&plan.sizes);
-    let dense = workers.install(|| {
+    let lane = Lane::of(plan.sizes.last().map_or(0, |&size| size as u64));
+    let dense = workers.install(lane, || {
         let mut done = Done { points: input.points, previous: None, measured: None };
         for (number, &size) in plan.sizes.iter().enumerate() {
             let level = Level {

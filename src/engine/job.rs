@@ -11,7 +11,7 @@ use tokio::sync::oneshot;
 use super::progress::{Progress, StageTimes, Watch};
 use super::queue::{Permit, Queue};
 use super::{EngineError, Request};
-use crate::backend::Workers;
+use crate::backend::{Lane, Workers};
 use crate::cascade;
 use crate::cloud::Position;
 
@@ -58,6 +58,7 @@ impl Outcome {
 
 /// What queue, job thread and caller share.
 pub(super) struct Task {
+    pub(super) lane: Lane,
     watch: Watch,
     // Taken by the job thread that runs it; dropped with the task when nobody does.
     work: Mutex<Option<Work>>,
@@ -87,7 +88,8 @@ impl Job {
         let permit = queue.admit(points_out)?;
         let (sender, result) = oneshot::channel();
         let work = Work { request, permit, result: sender };
-        let task = Arc::new(Task { watch: Watch::new(), work: Mutex::new(Some(work)) });
+        let lane = Lane::of(points_out);
+        let task = Arc::new(Task { lane, watch: Watch::new(), work: Mutex::new(Some(work)) });
         queue.push(Arc::clone(&task));
         Ok(Self { queue: Arc::clone(queue), task, result })
     }
@@ -143,8 +145,8 @@ impl Drop for Job {
 }
 
 /// A job thread's life: one task after another until the queue closes.
-pub(super) fn work(queue: &Queue, workers: &Workers) {
-    while let Some(task) = queue.next() {
+pub(super) fn work(queue: &Queue, workers: &Workers, lane: Option<Lane>) {
+    while let Some(task) = queue.next(lane) {
         if let Some(work) = task.take() {
             run(queue, workers, &task, work);
         }

@@ -14,7 +14,7 @@ use std::time::Duration;
 pub use job::{Job, Outcome, ProgressHandle};
 pub use progress::{Progress, StageTimes};
 
-use crate::backend::{Backend, BackendError, Model, OnnxBackend, Workers};
+use crate::backend::{Backend, BackendError, Lane, Model, OnnxBackend, Workers};
 use crate::cascade::{self, CascadeError, Settings, Silent, Target};
 use crate::cloud::Position;
 use queue::Queue;
@@ -35,8 +35,9 @@ pub struct Request {
 pub struct EngineConfig {
     /// Worker threads; each has its own session. 0 means one a processor.
     pub threads: usize,
-    /// Requests computed at the same time, on the same workers. 0 means as many as threads, so
-    /// that one request's single-threaded stages leave no processor idle.
+    /// Requests computed at the same time, on the same workers, and as many more small ones
+    /// ([`Lane::Express`]). 0 means as many as threads, so that one request's single-threaded stages
+    /// leave no processor idle.
     pub concurrency: usize,
     /// Points out of all requests that are queued or running; beyond it requests are refused. One
     /// request alone is always admitted.
@@ -122,11 +123,14 @@ impl Engine {
         let threads = or(config.threads, processors);
         let workers = Arc::new(Workers::new(backend, threads)?);
         let queue = Arc::new(Queue::new(config.queue_points));
-        for i in 0..or(config.concurrency, threads) {
+        let concurrency = or(config.concurrency, threads);
+        for i in 0..2 * concurrency {
+            // The second half takes small requests alone: they never wait for a large one to end.
+            let lane = (i >= concurrency).then_some(Lane::Express);
             let (queue, workers) = (Arc::clone(&queue), Arc::clone(&workers));
             std::thread::Builder::new()
                 .name(format!("densecloud-job-{i}"))
-                .spawn(move || job::work(&queue, &workers))
+                .spawn(move || job::work(&queue, &workers, lane))
                 .map_err(|e| BackendError::Library { why: format!("cannot start a thread: {e}") })?;
         }
         Ok(Self { inner: Arc::new(Inner { queue, workers }) })

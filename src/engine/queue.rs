@@ -1,4 +1,4 @@
-//! The queue: first come, first served, bounded in points out.
+//! The queue: first come, first served in each lane, bounded in points out.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use super::EngineError;
 use super::job::Task;
+use crate::backend::Lane;
 
 /// Tasks that wait, and the account of points admitted.
 pub(super) struct Queue {
@@ -62,17 +63,21 @@ impl Queue {
 
     pub(super) fn push(&self, task: Arc<Task>) {
         self.lock().tasks.push_back(task);
-        self.changed.notify_one();
+        // All: the one that would be woken may serve the other lane.
+        self.changed.notify_all();
     }
 
-    /// The next task; none once the queue is closed.
-    pub(super) fn next(&self) -> Option<Arc<Task>> {
+    /// The next task, of one lane if it is given; none once the queue is closed.
+    pub(super) fn next(&self, lane: Option<Lane>) -> Option<Arc<Task>> {
+        let find =
+            |state: &State| state.tasks.iter().position(|task| lane.is_none_or(|lane| task.lane == lane));
         let state = self.lock();
         let mut state = self
             .changed
-            .wait_while(state, |state| state.tasks.is_empty() && !state.closed)
+            .wait_while(state, |state| find(state).is_none() && !state.closed)
             .unwrap_or_else(PoisonError::into_inner);
-        state.tasks.pop_front()
+        let place = find(&state)?;
+        state.tasks.remove(place)
     }
 
     /// Takes a task back out, if it still waits.

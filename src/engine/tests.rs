@@ -72,11 +72,11 @@ fn one_request_above_the_budget_runs_alone() {
 fn dropping_a_job_stops_it_and_frees_its_points() {
     let fake = Fake::slow(Duration::from_millis(5));
     let engine = engine(&fake, 1_000_000);
-    let running = engine.submit(request(2000, 16.0)).unwrap();
-    let waiting = engine.submit(request(2000, 16.0)).unwrap();
+    let running = engine.submit(request(2000, 64.0)).unwrap();
+    let waiting = engine.submit(request(2000, 64.0)).unwrap();
     wait_until("the first batch", || fake.batches() > 0);
     drop(waiting);
-    assert_eq!(engine.queued_points(), 32_000, "a waiting job is freed at once");
+    assert_eq!(engine.queued_points(), 128_000, "a waiting job is freed at once");
     drop(running);
     wait_until("the running job's points are free", || engine.queued_points() == 0);
     let batches = fake.batches();
@@ -131,4 +131,19 @@ fn a_dropped_engine_cancels_what_waits() {
     let waiting = engine.submit(request(100, 2.0)).unwrap();
     drop(engine);
     assert!(matches!(waiting.wait(), Err(EngineError::Cancelled)));
+}
+
+#[test]
+fn a_small_request_does_not_wait_for_a_large_one() {
+    let fake = Fake::slow(Duration::from_millis(2));
+    let engine = engine(&fake, 1_000_000);
+    let large = engine.submit(request(10_000, 64.0)).unwrap();
+    let queued = engine.submit(request(5_000, 64.0)).unwrap();
+    wait_until("the first batch", || fake.batches() > 0);
+    for _ in 0..3 {
+        assert_eq!(engine.submit(request(100, 4.0)).unwrap().wait().unwrap().positions.len(), 400);
+    }
+    assert_eq!(engine.queued_points(), 960_000, "neither of the large ones is done");
+    drop((large, queued));
+    wait_until("the rest stopped", || engine.queued_points() == 0);
 }

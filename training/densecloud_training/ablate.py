@@ -21,7 +21,7 @@ import torch
 from . import checkpoint as checkpoints
 from . import clouds as cloud_sets
 from . import config as configs
-from .config import Config, Data, Switches
+from .config import Config, Data
 from .edge import gather_rows, nearest_others
 from .levels import Result, Step
 from .loss import masked_mean, nearest_distances
@@ -48,7 +48,7 @@ class Variant(NamedTuple):
 
 
 def switch(**values: Any) -> Callable[[Config], None]:
-    return lambda config: setattr(config, "unit", Switches(**values))
+    return lambda config: setattr(config, "unit", replace(config.unit, **values))
 
 
 def other_seed(config: Config) -> None:
@@ -57,7 +57,7 @@ def other_seed(config: Config) -> None:
 
 def one_unit(config: Config) -> None:
     """Two stages: 2x, then all levels; a stage for the newest unit alone has no meaning."""
-    config.unit = Switches(shared=True)
+    config.unit = replace(config.unit, shared=True)
     first, alone, joint = config.stages
     config.stages = [first, replace(joint, share=alone.share + joint.share)]
 
@@ -73,8 +73,12 @@ def at_once(config: Config) -> None:
     config.stages = [replace(config.stages[-1], share=1.0, learning_rate=config.stages[0].learning_rate)]
 
 
-def fewer_neighbours(config: Config) -> None:
-    config.k = 16
+def neighbours(k: int, by: str) -> Callable[[Config], None]:
+    def change(config: Config) -> None:
+        config.k = k
+        config.unit = replace(config.unit, neighbours=by)
+
+    return change
 
 
 def uniformity(config: Config) -> None:
@@ -102,9 +106,10 @@ VARIANTS: Dict[str, Variant] = {
     "no-skip": Variant("paper", "nothing taken from the level before", switch(skip=False)),
     "baseline": Variant("unit", "the plain unit", lambda config: None),
     "baseline-2": Variant("unit", "`baseline` from another seed", other_seed),
-    "k16": Variant("unit", "16 neighbours instead of 32", fewer_neighbours),
-    "space": Variant("unit", "first block's neighbours by coordinates", switch(neighbours="space")),
-    "space-shared": Variant("unit", "all blocks' neighbours by coordinates", switch(neighbours="space-shared")),
+    "shared-16": Variant("unit", "16 neighbours by coordinates in all blocks", neighbours(16, "space-shared")),
+    "k16": Variant("unit", "16 neighbours instead of 32", neighbours(16, "features")),
+    "space": Variant("unit", "first block's neighbours by coordinates", neighbours(32, "space")),
+    "space-shared": Variant("unit", "all blocks' neighbours by coordinates", neighbours(32, "space-shared")),
     "learned-code": Variant("unit", "the two codes learn", switch(code="learned")),
     "midpoint": Variant("unit", "second copy starts halfway to a neighbour", switch(start="midpoints")),
     "uniformity": Variant("unit", f"crowding term in the loss, weight {UNIFORMITY:g}", uniformity),
@@ -117,11 +122,13 @@ LEVELS = {"paper": 2, "unit": 1}
 
 def config_of(base: Config, name: str) -> Config:
     """The base config cut to the group's levels, with the variant's change."""
-    config = configs.from_dict(base.as_dict())
+    config, paper = configs.from_dict(base.as_dict()), Config()
     variant = VARIANTS[name]
     config.levels = LEVELS[variant.group]
     config.stages = [stage for stage in config.stages if stage.levels <= config.levels]
     config.average = AVERAGE
+    # The paper's unit, which the variants depart from.
+    config.k, config.unit = paper.k, replace(config.unit, neighbours=paper.unit.neighbours)
     variant.change(config)
     return config
 

@@ -4,9 +4,9 @@ Building it by hand rather than tracing keeps the file the same whatever PyTorch
 stay dynamic, and leaves out what a tracer adds. The graph is the fast form of `network.Unit`: all linear maps act on
 flat [rows, channels] matrices, so that ONNX Runtime runs each as one Gemm with its bias (and ReLU) fused.
 
-What costs most, the neighbour search, the edge block and the skip, are operators of the domain `densecloud`, whose bodies the
-file carries as functions of standard operators. Any ONNX runtime can run it so; the program registers faster kernels of
-the same names and takes those.
+What costs most, the neighbour search, the edge block and the skip, are operators of the domain `densecloud`, whose
+bodies the file carries as functions of standard operators. Any ONNX runtime can run it so; the program registers faster
+kernels of the same names and takes those.
 
 Contract of a file (f32 unless said):
 
@@ -136,7 +136,7 @@ def _neighbours(graph: _Graph, clouds: str, k: int) -> str:
 
 
 def _edge_block(graph: _Graph, features: str, block: int, k: int, indices: Optional[str]) -> str:
-    """[R,24] -> [R,60]; the split form of `edge.EdgeBlock.forward`, with all that acts on a point alone in one matrix."""
+    """[R,24] -> [R,60]; the split form of `edge.EdgeBlock.forward`: all that acts on a point alone in one matrix."""
     name, g, c = f"blocks.{block}", network.GROWTH, network.BLOCK_CHANNELS
     first, second, third = (graph.state[f"{name}.{layer}.weight"] for layer in ("first", "second", "third"))
     biases = [graph.state[f"{name}.{layer}.bias"] for layer in ("first", "second", "third")]
@@ -153,7 +153,9 @@ def _edge_block(graph: _Graph, features: str, block: int, k: int, indices: Optio
     return graph.node("Reshape", [edges, graph.ints("block_rows", [-1, network.BLOCK_OUT])])
 
 
-def _function(name: str, inputs: List[str], output: str, text: str, attributes: Sequence[str] = ()) -> onnx.FunctionProto:
+def _function(
+    name: str, inputs: List[str], output: str, text: str, attributes: Sequence[str] = ()
+) -> onnx.FunctionProto:
     """A function whose body is given in ONNX's text form."""
     nodes = onnx.parser.parse_graph(f"body () => () {{ {text} }}").node
     opset = [helper.make_opsetid("", OPSET)]

@@ -11,7 +11,7 @@
 
 use rayon::prelude::*;
 
-use super::{Key, Tree};
+use super::{Item, Key, Tree};
 use crate::cloud::Point;
 use crate::geometry::kdtree::squared;
 
@@ -25,10 +25,10 @@ const ANEW: f32 = 0.5;
 
 /// As [`super::farthest_point_sampling`], by blocks of at most `size` points.
 pub(super) fn sample(points: &[Point], count: usize, first: u32, size: usize) -> Vec<u32> {
-    let mut items: Vec<(Point, u32)> = points.iter().copied().zip(0..).collect();
+    let mut items: Vec<Item> = points.iter().copied().zip(0..).collect();
     let mut cells = Vec::new();
     split(&mut items, size, &mut cells);
-    let trees: Vec<Tree> = cells.into_par_iter().map(Tree::of).collect();
+    let trees: Vec<Tree> = cells.into_par_iter().map(Tree::over).collect();
     drop(items);
     let mut blocks =
         Blocks { beside: vec![Vec::new(); trees.len()], trees: trees.into_iter().map(Some).collect() };
@@ -71,7 +71,7 @@ fn descending(a: &Key, b: &Key) -> std::cmp::Ordering {
 }
 
 /// Halves the points until no more than `size` are left.
-fn split<'a>(items: &'a mut [(Point, u32)], size: usize, cells: &mut Vec<&'a mut [(Point, u32)]>) {
+fn split<'a>(items: &'a mut [Item], size: usize, cells: &mut Vec<&'a mut [Item]>) {
     if items.len() <= size {
         cells.push(items);
         return;
@@ -97,7 +97,7 @@ impl Blocks {
     }
 
     /// Tells every block of these choices.
-    fn take_note(&mut self, chosen: &[(Point, u32)]) {
+    fn take_note(&mut self, chosen: &[Item]) {
         for tree in self.trees.iter_mut().flatten() {
             tree.take_note(chosen);
         }
@@ -154,7 +154,7 @@ impl Blocks {
                 }
             })
             .collect();
-        let mut fresh: Vec<Vec<(Point, u32)>> = vec![Vec::new(); self.trees.len()];
+        let mut fresh: Vec<Vec<Item>> = vec![Vec::new(); self.trees.len()];
         for ((block, tree), choices) in active.into_iter().zip(&choices) {
             self.trees[block] = Some(tree);
             for key in choices {
@@ -171,11 +171,7 @@ impl Blocks {
 }
 
 impl Tree {
-    fn of(items: &mut [(Point, u32)]) -> Self {
-        Self::build_all(items)
-    }
-
-    fn take_note(&mut self, chosen: &[(Point, u32)]) {
+    fn take_note(&mut self, chosen: &[Item]) {
         for &(at, index) in chosen {
             if self.nodes[0].is_reached_from(at) {
                 self.choose(at, index);

@@ -63,6 +63,9 @@ fn in_turn(points: &[Point], count: usize, first: u32) -> Vec<u32> {
     }
 }
 
+/// A point and its index.
+type Item = (Point, u32);
+
 /// A complete description of where every point stands: its bucket's block holds the squared
 /// distance to the nearest chosen point.
 struct Tree {
@@ -148,10 +151,10 @@ impl Bucket {
 
 impl Tree {
     fn new(points: &[Point]) -> Self {
-        Self::build_all(&mut points.iter().copied().zip(0..).collect::<Vec<_>>())
+        Self::over(&mut points.iter().copied().zip(0..).collect::<Vec<_>>())
     }
 
-    fn build_all(items: &mut [(Point, u32)]) -> Self {
+    fn over(items: &mut [Item]) -> Self {
         let buckets = items.len().div_ceil(BUCKET);
         let empty = Node { lo: [f32::INFINITY; 3], hi: [f32::NEG_INFINITY; 3], key: Key::NONE };
         let mut tree = Self {
@@ -163,7 +166,7 @@ impl Tree {
     }
 
     /// Buckets are made left to right, so a node's buckets follow from its place alone.
-    fn build(&mut self, node: usize, items: &mut [(Point, u32)]) {
+    fn build(&mut self, node: usize, items: &mut [Item]) {
         let (lo, hi) = bounds(items);
         let buckets = items.len().div_ceil(BUCKET);
         if buckets <= 1 {
@@ -216,7 +219,7 @@ impl Node {
 
 /// The first `middle` points along the longest side of their box, and the others; ties by index make
 /// the two unique.
-fn halves(items: &mut [(Point, u32)], middle: usize) -> (&mut [(Point, u32)], &mut [(Point, u32)]) {
+fn halves(items: &mut [Item], middle: usize) -> (&mut [Item], &mut [Item]) {
     let (lo, hi) = bounds(items);
     let side = |a: usize| hi[a] - lo[a];
     let axis = (1..3).fold(0, |best, a| if side(a) > side(best) { a } else { best });
@@ -224,7 +227,7 @@ fn halves(items: &mut [(Point, u32)], middle: usize) -> (&mut [(Point, u32)], &m
     items.split_at_mut(middle)
 }
 
-fn bucket(items: &[(Point, u32)]) -> Bucket {
+fn bucket(items: &[Item]) -> Bucket {
     let mut bucket = Bucket {
         x: [0.0; BUCKET],
         y: [0.0; BUCKET],
