@@ -1,7 +1,7 @@
 //! ONNX Runtime: one session a unit and a worker thread, one thread inside each.
 
 use std::borrow::Cow;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use ort::environment::Environment;
 use ort::session::builder::GraphOptimizationLevel;
@@ -75,6 +75,9 @@ impl Backend for OnnxBackend {
 }
 
 fn build(environment: &Environment, bytes: &[u8]) -> ort::Result<OrtSession> {
+    // Two at once make ONNX Runtime register the operators' domain twice, which it refuses.
+    static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
+    let _turn = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
     // The memory pattern planner keeps a plan for every shape it meets; batches differ in the
     // number of skip features, so it would only grow.
     OrtSession::builder(environment)?

@@ -37,7 +37,7 @@ impl StageTimes {
 }
 
 /// Rough shares of a level's time, for [`Progress::fraction`] alone.
-const SHARES: [f64; Stage::ALL.len()] = [0.02, 0.03, 0.85, 0.10];
+const SHARES: [f64; Stage::ALL.len()] = [0.01, 0.06, 0.53, 0.40];
 
 /// Watches one cascade: the engine's [`Observer`].
 pub(super) struct Watch {
@@ -53,6 +53,7 @@ struct State {
     /// Share of the whole work that each level is.
     weights: Vec<f64>,
     current: Option<(usize, Stage, Instant)>,
+    finished: bool,
     times: StageTimes,
 }
 
@@ -86,6 +87,7 @@ impl Watch {
     pub(super) fn finish(&self) -> StageTimes {
         let mut state = self.lock();
         state.end_stage();
+        state.finished = true;
         state.times
     }
 
@@ -93,7 +95,8 @@ impl Watch {
         let state = self.lock();
         let levels = state.weights.len();
         let Some((level, stage, _)) = state.current else {
-            return Progress { stage: None, level: 0, levels, fraction: 0.0 };
+            let (level, fraction) = if state.finished { (levels, 1.0) } else { (0, 0.0) };
+            return Progress { stage: None, level, levels, fraction };
         };
         let (done, total) = (self.done.load(Ordering::Relaxed), self.total.load(Ordering::Relaxed));
         let within = if total == 0 { 0.0 } else { done as f64 / total as f64 };
