@@ -10,6 +10,7 @@ use std::time::Instant;
 
 use densecloud::backend::{Backend, Batch, Model, OnnxBackend, Output, SKIP_NEIGHBOURS, SkipInput};
 use densecloud::geometry::{poisson_disk, shape};
+use half::f16;
 use ort::editor::{Graph, Node, ONNX_DOMAIN, Opset};
 use ort::environment::Environment;
 use ort::session::Session;
@@ -33,7 +34,7 @@ fn main() {
     let radius = distance(&patch[n - 1]).sqrt();
     let points: Vec<f32> =
         patch[..n].iter().flat_map(|p| (0..3).map(|a| ((p[a] - cloud[0][a]) / radius) as f32)).collect();
-    let features: Vec<f32> = (0..n * c).map(|i| (i % 17) as f32 / 17.0 - 0.5).collect();
+    let features: Vec<f16> = (0..n * c).map(|i| f16::from_f32((i % 17) as f32 / 17.0 - 0.5)).collect();
     let indices: Vec<i64> = (0..n * SKIP_NEIGHBOURS).map(|i| ((i * 31) % n) as i64).collect();
     let distances: Vec<f32> = (0..n * SKIP_NEIGHBOURS).map(|i| (1 + i % 5) as f32).collect();
     let skip = SkipInput { features: &features, indices: &indices, distances: &distances };

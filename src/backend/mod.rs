@@ -11,6 +11,8 @@ pub mod onnx;
 mod operators;
 mod workers;
 
+use half::f16;
+
 pub use fake::Fake;
 pub use model::{Card, Model, UnitFile};
 pub use onnx::OnnxBackend;
@@ -49,8 +51,9 @@ pub struct Batch<'a> {
 /// What a unit takes over from the level before it.
 #[derive(Debug, Clone, Copy)]
 pub struct SkipInput<'a> {
-    /// `[M, C]`: one row a point of the previous level's input.
-    pub features: &'a [f32],
+    /// `[M, C]`: one row a point of the previous level's input, in half precision: they are what takes
+    /// most memory.
+    pub features: &'a [f16],
     /// `[B, N, 5]`: for each point the rows of its nearest points of the previous level's input.
     pub indices: &'a [i64],
     /// `[B, N, 5]`: their squared distances, in any one unit of length a patch.

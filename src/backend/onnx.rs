@@ -137,6 +137,7 @@ mod tests {
     use super::*;
     use crate::backend::{SkipInput, UnitFile};
     use crate::geometry::Rng;
+    use half::f16;
 
     /// The same graphs with their operators in a domain that nobody registers, so that only the functions
     /// in the file are left. (Within a process ONNX Runtime keeps what was registered once.)
@@ -162,7 +163,8 @@ mod tests {
         let mut session = backend.open().unwrap();
         let mut random = Rng::new(7);
         let mut numbers = |n: usize| -> Vec<f32> { (0..n).map(|_| random.f64() as f32 - 0.5).collect() };
-        let (cloud, features) = (numbers(points * 3), numbers(200 * model.card.channels));
+        let cloud = numbers(points * 3);
+        let features: Vec<f16> = numbers(200 * model.card.channels).into_iter().map(f16::from_f32).collect();
         let distances: Vec<f32> = numbers(points * SKIP_NEIGHBOURS).iter().map(|d| 1.0 + d).collect();
         let indices: Vec<i64> = (0..points * SKIP_NEIGHBOURS).map(|i| (i * 37 % 200) as i64).collect();
         let skip = SkipInput { features: &features, indices: &indices, distances: &distances };

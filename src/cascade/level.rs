@@ -2,6 +2,8 @@
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
+use half::f16;
+use half::slice::HalfFloatSliceExt;
 use rayon::prelude::*;
 
 use super::patches::Patches;
@@ -40,7 +42,7 @@ pub(super) struct Done {
 pub(super) struct Previous {
     points: Vec<Point>,
     /// `[n, C]`, one row a point.
-    features: Vec<f32>,
+    features: Vec<f16>,
     /// Each point's row.
     rows: Vec<u32>,
 }
@@ -107,11 +109,11 @@ impl Level {
         skip: Option<&SkipNeighbours>,
         workers: &Workers,
         observer: &dyn Observer,
-    ) -> Result<(Vec<Made>, Vec<f32>), CascadeError> {
+    ) -> Result<(Vec<Made>, Vec<f16>), CascadeError> {
         let channels = if self.last { 0 } else { workers.shape().channels };
         let kept: usize = (0..patches.len()).map(|p| patches.kept(p).count()).sum();
         let mut merged = vec![Made::default(); 2 * kept];
-        let mut features = vec![0.0; self.points.len() * channels];
+        let mut features = vec![f16::ZERO; self.points.len() * channels];
 
         let mut tasks = Vec::with_capacity(patches.len());
         let (mut points, mut rows) = (&mut merged[..], &mut features[..]);
@@ -179,7 +181,7 @@ impl Level {
         if !self.last {
             let channels = worker.output.features.len() / members.len();
             for (row, place) in task.features.chunks_exact_mut(channels).zip(patches.owned(task.patch)) {
-                row.copy_from_slice(&worker.output.features[place * channels..][..channels]);
+                row.convert_from_f32_slice(&worker.output.features[place * channels..][..channels]);
             }
         }
         Ok(())
@@ -192,7 +194,7 @@ struct PatchTask<'a> {
     /// Its points of the merged cloud, two for each place kept.
     dense: &'a mut [Made],
     /// Rows of the points that the patch owns.
-    features: &'a mut [f32],
+    features: &'a mut [f16],
 }
 
 impl SkipNeighbours {

@@ -10,8 +10,9 @@ kernels of the same names and takes those.
 
 Contract of a file (f32 unless said):
 
-- input `points` [B,N,3], each patch in its own frame; from unit 2 on also `previous_features` [M,264],
-  `skip_indices` [B,N,5] int64 (rows of that table) and `skip_distances` [B,N,5] (squared, any unit of length a patch);
+- input `points` [B,N,3], each patch in its own frame; from unit 2 on also `previous_features` [M,264] (float16, as a
+  cloud's table is large), `skip_indices` [B,N,5] int64 (its rows) and `skip_distances` [B,N,5] (squared, any unit of
+  length a patch);
 - output `dense` [B,2N,3]: the N points with code -0.2, then the N with +0.2; `features` [B,N,264] after the skip.
 """
 
@@ -39,7 +40,7 @@ def build_unit(
     graph = _Graph(state)
     inputs = [_value("points", ["B", "N", 3])]
     if unit > 1:
-        inputs.append(_value("previous_features", ["M", network.CHANNELS]))
+        inputs.append(_value("previous_features", ["M", network.CHANNELS], TensorProto.FLOAT16))
         inputs.append(_value("skip_indices", ["B", "N", network.SKIP_NEIGHBOURS], TensorProto.INT64))
         inputs.append(_value("skip_distances", ["B", "N", network.SKIP_NEIGHBOURS]))
     _batch(graph)
@@ -268,11 +269,13 @@ def _skip(graph: _Graph, features: str) -> str:
 
 
 def _skip_function() -> onnx.FunctionProto:
-    """`BilateralSkip`: features [B,N,264], previous [M,264], indices [B,N,5] int64, distances [B,N,5] (squared)
-    -> [B,N,264]: the features and 0.2 times the bilateral mean of the previous ones; widths as in `network.relative`.
+    """`BilateralSkip`: features [B,N,264], previous [M,264] float16, indices [B,N,5] int64, distances [B,N,5]
+    -> [B,N,264]: the features and 0.2 times the bilateral mean of the previous ones (distances squared; widths as in
+    `network.relative`).
     """
     text = f"""
-        others = Gather <axis = 0> (previous, indices)
+        halves = Gather <axis = 0> (previous, indices)
+        others = Cast <to = {TensorProto.FLOAT}> (halves)
         i2 = Constant <value_ints = [2]> ()
         own = Unsqueeze (features, i2)
         difference = Sub (others, own)

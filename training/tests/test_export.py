@@ -33,8 +33,8 @@ def test_runtime_agrees_with_pytorch(exported, level):
         feed, previous = {"points": points.numpy()}, None
         if level > 1:
             indices = torch.randint(0, rows, (batch, count, 5))
-            previous = Previous(torch.randn(rows, CHANNELS), indices, torch.rand(batch, count, 5) * 0.01)
-            feed["previous_features"] = previous.features.numpy()
+            previous = Previous(torch.randn(rows, CHANNELS).half().float(), indices, torch.rand(batch, count, 5) * 0.01)
+            feed["previous_features"] = previous.features.half().numpy()
             feed["skip_indices"] = indices.numpy()
             feed["skip_distances"] = previous.distances.numpy()
         with torch.no_grad():
@@ -51,7 +51,7 @@ def test_runtime_survives_points_that_coincide_with_previous_ones(exported):
     session = onnxruntime.InferenceSession(str(exported[1][1]), providers=["CPUExecutionProvider"])
     feed = {
         "points": np.random.default_rng(0).normal(size=(1, 40, 3)).astype(np.float32),
-        "previous_features": np.zeros((40, CHANNELS), np.float32),
+        "previous_features": np.zeros((40, CHANNELS), np.float16),
         "skip_indices": np.zeros((1, 40, 5), np.int64),
         "skip_distances": np.zeros((1, 40, 5), np.float32),
     }

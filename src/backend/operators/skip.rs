@@ -4,6 +4,8 @@
 //! weights exp(-2 d_s / h_s) exp(-2 d_f / h_f): d are the squared distances in space and between the features, h the
 //! patch's mean of each point's smallest.
 
+use half::f16;
+use half::slice::HalfFloatSliceExt;
 use ort::operator::{ComputeContext, Kernel, KernelContext, Operator, OperatorInput, OperatorOutput};
 use ort::value::TensorElementType;
 use pulp::{Arch, Simd, WithSimd};
@@ -15,7 +17,7 @@ const FACTOR: f32 = 0.2;
 /// The least h: where every point coincides with a previous one, all weight goes to distances of 0.
 const SMALLEST: f32 = 1e-10;
 
-/// Features `[B, N, C]`, previous features `[M, C]`, indices `[B, N, n]` (rows of those), squared distances
+/// Features `[B, N, C]`, previous features `[M, C]` (`f16`), indices `[B, N, n]` (rows of those), squared distances
 /// `[B, N, n]` -> features `[B, N, C]`.
 pub(super) struct BilateralSkip;
 
@@ -27,8 +29,12 @@ impl Operator for BilateralSkip {
     }
 
     fn inputs(&self) -> impl IntoIterator<Item = OperatorInput> {
-        let float = || OperatorInput::required(TensorElementType::Float32);
-        [float(), float(), OperatorInput::required(TensorElementType::Int64), float()]
+        [
+            OperatorInput::required(TensorElementType::Float32),
+            OperatorInput::required(TensorElementType::Float16),
+            OperatorInput::required(TensorElementType::Int64),
+            OperatorInput::required(TensorElementType::Float32),
+        ]
     }
 
     fn outputs(&self) -> impl IntoIterator<Item = OperatorOutput> {
@@ -36,7 +42,7 @@ impl Operator for BilateralSkip {
     }
 
     fn create_kernel<'attr>(&self, _: &KernelContext<'attr>) -> ort::Result<BilateralSkipKernel> {
-        Ok(BilateralSkipKernel { arch: Arch::new(), weights: Vec::new() })
+        Ok(BilateralSkipKernel::new(Arch::new()))
     }
 }
 
@@ -44,6 +50,8 @@ pub(super) struct BilateralSkipKernel {
     arch: Arch,
     /// `[N, n]`: squared distances between features, then weights.
     weights: Vec<f32>,
+    /// `[C]`: one row of the previous features.
+    row: Vec<f32>,
 }
 
 impl Kernel for BilateralSkipKernel {
@@ -53,7 +61,7 @@ impl Kernel for BilateralSkipKernel {
         let (features, previous, indices, distances) = (input(0)?, input(1)?, input(2)?, input(3)?);
         let (shape, features) = features.try_extract_tensor::<f32>()?;
         let [items, count, channels] = three(shape, "the features of BilateralSkip")?;
-        let (shape, previous) = previous.try_extract_tensor::<f32>()?;
+        let (shape, previous) = previous.try_extract_tensor::<f16>()?;
         let (rows, same) = match **shape {
             [rows, width] => (rows, width == channels as i64),
             _ => (0, false),
@@ -87,19 +95,24 @@ impl Kernel for BilateralSkipKernel {
 }
 
 impl BilateralSkipKernel {
+    fn new(arch: Arch) -> Self {
+        Self { arch, weights: Vec::new(), row: Vec::new() }
+    }
+
     fn run(&mut self, patch: &Patch, out: &mut [f32]) {
         self.weights.clear();
         self.weights.resize(patch.indices.len(), 0.0);
-        self.arch.dispatch(Distances { patch, out: &mut self.weights });
+        self.row.resize(patch.channels, 0.0);
+        self.arch.dispatch(Distances { patch, row: &mut self.row, out: &mut self.weights });
         patch.weigh(&mut self.weights);
-        self.arch.dispatch(Mean { patch, weights: &self.weights, out });
+        self.arch.dispatch(Mean { patch, weights: &self.weights, row: &mut self.row, out });
     }
 }
 
 /// One patch's share of the inputs.
 struct Patch<'a> {
     features: &'a [f32],
-    previous: &'a [f32],
+    previous: &'a [f16],
     indices: &'a [i64],
     distances: &'a [f32],
     channels: usize,
@@ -107,8 +120,8 @@ struct Patch<'a> {
 }
 
 impl Patch<'_> {
-    fn row(&self, index: i64) -> &[f32] {
-        &self.previous[index as usize * self.channels..][..self.channels]
+    fn row(&self, index: i64, out: &mut [f32]) {
+        self.previous[index as usize * self.channels..][..self.channels].convert_to_f32_slice(out);
     }
 
     /// Turns squared distances between features into weights, which sum to the factor for each point.
@@ -136,6 +149,7 @@ impl Patch<'_> {
 /// Squared distances between each point's features and those it may take over.
 struct Distances<'a> {
     patch: &'a Patch<'a>,
+    row: &'a mut [f32],
     out: &'a mut [f32],
 }
 
@@ -144,13 +158,14 @@ impl WithSimd for Distances<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Self { patch, out } = self;
+        let Self { patch, row, out } = self;
         let of_points =
             patch.indices.chunks_exact(patch.neighbours).zip(out.chunks_exact_mut(patch.neighbours));
         for (own, (indices, out)) in patch.features.chunks_exact(patch.channels).zip(of_points) {
             let (own, own_rest) = S::as_simd_f32s(own);
             for (index, out) in indices.iter().zip(out) {
-                let (other, other_rest) = S::as_simd_f32s(patch.row(*index));
+                patch.row(*index, row);
+                let (other, other_rest) = S::as_simd_f32s(row);
                 // Two sums: one would wait for itself.
                 let mut sums = [simd.splat_f32s(0.0); 2];
                 for (a, b) in own.chunks(2).zip(other.chunks(2)) {
@@ -170,6 +185,7 @@ impl WithSimd for Distances<'_> {
 struct Mean<'a> {
     patch: &'a Patch<'a>,
     weights: &'a [f32],
+    row: &'a mut [f32],
     out: &'a mut [f32],
 }
 
@@ -178,7 +194,7 @@ impl WithSimd for Mean<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Self { patch, weights, out } = self;
+        let Self { patch, weights, row, out } = self;
         let of_points =
             patch.indices.chunks_exact(patch.neighbours).zip(weights.chunks_exact(patch.neighbours));
         let points = patch.features.chunks_exact(patch.channels).zip(out.chunks_exact_mut(patch.channels));
@@ -186,7 +202,8 @@ impl WithSimd for Mean<'_> {
             out.copy_from_slice(own);
             let (out, out_rest) = S::as_mut_simd_f32s(out);
             for (index, weight) in indices.iter().zip(weights) {
-                let (other, other_rest) = S::as_simd_f32s(patch.row(*index));
+                patch.row(*index, row);
+                let (other, other_rest) = S::as_simd_f32s(row);
                 let factor = simd.splat_f32s(*weight);
                 for (o, p) in out.iter_mut().zip(other) {
                     *o = simd.mul_add_e_f32s(factor, *p, *o);
@@ -208,10 +225,14 @@ mod tests {
     fn plain(patch: &Patch) -> Vec<f32> {
         let (c, n) = (patch.channels, patch.neighbours);
         let own = |i: usize| &patch.features[i * c..][..c];
+        let other = |e: usize, a: usize| f64::from(patch.previous[patch.indices[e] as usize * c + a]);
         let featural: Vec<f64> = (0..patch.indices.len())
             .map(|e| {
-                let pairs = own(e / n).iter().zip(patch.row(patch.indices[e]));
-                pairs.map(|(a, b)| (f64::from(*a) - f64::from(*b)).powi(2)).sum()
+                own(e / n)
+                    .iter()
+                    .enumerate()
+                    .map(|(a, value)| (f64::from(*value) - other(e, a)).powi(2))
+                    .sum()
             })
             .collect();
         let spatial: Vec<f64> = patch.distances.iter().map(|d| f64::from(*d)).collect();
@@ -227,8 +248,7 @@ mod tests {
         let value = |i: usize, a: usize| {
             let edges = i * n..(i + 1) * n;
             let total: f64 = edges.clone().map(weight).sum();
-            let mean: f64 =
-                edges.map(|e| weight(e) * f64::from(patch.row(patch.indices[e])[a])).sum::<f64>() / total;
+            let mean: f64 = edges.map(|e| weight(e) * other(e, a)).sum::<f64>() / total;
             (f64::from(own(i)[a]) + 0.2 * mean) as f32
         };
         (0..patch.features.len() / c)
@@ -242,7 +262,8 @@ mod tests {
         let mut random = Rng::new(3);
         for (count, rows, channels) in [(312, 700, 264), (5, 1, 264), (20, 9, 7)] {
             let mut numbers = |n: usize| -> Vec<f32> { (0..n).map(|_| random.f64() as f32).collect() };
-            let (features, previous) = (numbers(count * channels), numbers(rows * channels));
+            let features = numbers(count * channels);
+            let previous: Vec<f16> = numbers(rows * channels).into_iter().map(f16::from_f32).collect();
             let distances: Vec<f32> = numbers(count * 5).iter().map(|d| 0.5 + d).collect();
             let indices: Vec<i64> = (0..count * 5).map(|e| ((e * 13) % rows) as i64).collect();
             let patch = Patch {
@@ -256,7 +277,7 @@ mod tests {
             let wanted = plain(&patch);
             for arch in [Arch::new(), Arch::Scalar] {
                 let mut out = vec![f32::NAN; features.len()];
-                BilateralSkipKernel { arch, weights: Vec::new() }.run(&patch, &mut out);
+                BilateralSkipKernel::new(arch).run(&patch, &mut out);
                 let worst = out.iter().zip(&wanted).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
                 assert!(worst < 1e-5, "{worst} for {count} points of {channels} channels");
             }
@@ -265,7 +286,7 @@ mod tests {
 
     #[test]
     fn points_that_coincide_with_previous_ones_take_those() {
-        let (features, previous) = (vec![0.0; 8], vec![1.0, 1.0, 3.0, 3.0]);
+        let (features, previous) = (vec![0.0; 8], [1.0, 1.0, 3.0, 3.0].map(f16::from_f32));
         let patch = Patch {
             features: &features,
             previous: &previous,
@@ -275,7 +296,7 @@ mod tests {
             neighbours: 2,
         };
         let mut out = vec![f32::NAN; 8];
-        BilateralSkipKernel { arch: Arch::new(), weights: Vec::new() }.run(&patch, &mut out);
+        BilateralSkipKernel::new(Arch::new()).run(&patch, &mut out);
         assert!(out.iter().all(|v| (v - 0.2).abs() < 1e-6), "{out:?}");
     }
 }
