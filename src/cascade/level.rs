@@ -12,7 +12,7 @@ use super::strays::{Made, Measured, without_strays};
 use super::{CascadeError, Observer, Settings, Stage};
 use crate::backend::{BackendError, Batch, SKIP_NEIGHBOURS, SkipInput, Worker, Workers};
 use crate::cloud::Point;
-use crate::geometry::{KdTree, Rng, farthest_point_sampling};
+use crate::geometry::{KdTree, Rng, Walk, farthest_point_sampling};
 
 /// One level about to run.
 pub(super) struct Level {
@@ -95,7 +95,11 @@ impl Level {
             polish(&merged, doubled.max(size), size, &measured, &mut random, observer)?
         } else {
             let first = random.below(merged.len() as u64) as usize;
-            let kept = farthest_point_sampling(&merged, size, first);
+            let mut kept = farthest_point_sampling(&merged, size, first);
+            if !last {
+                // The order means nothing to the next level, and patch by patch neighbours are near in memory.
+                kept.sort_unstable();
+            }
             kept.iter().map(|&i| merged[i as usize]).collect()
         };
         Ok(Done { points, previous, measured: (!last).then_some(measured) })
@@ -205,9 +209,9 @@ impl SkipNeighbours {
         rows.par_chunks_exact_mut(SKIP_NEIGHBOURS)
             .zip(distances.par_chunks_exact_mut(SKIP_NEIGHBOURS))
             .zip(points)
-            .for_each_init(Vec::new, |found, ((rows, distances), &point)| {
-                tree.nearest(point, SKIP_NEIGHBOURS, found);
-                for (k, neighbour) in found.iter().enumerate() {
+            .for_each_init(Walk::default, |walk, ((rows, distances), &point)| {
+                tree.nearest_next(point, SKIP_NEIGHBOURS, walk);
+                for (k, neighbour) in walk.found.iter().enumerate() {
                     rows[k] = i64::from(previous.rows[neighbour.index as usize]);
                     distances[k] = neighbour.distance_squared;
                 }

@@ -4,7 +4,7 @@ use rayon::prelude::*;
 
 use super::{CascadeError, Observer, Settings, Stage};
 use crate::cloud::Point;
-use crate::geometry::{KdTree, Neighbour, Rng, farthest_point_sampling};
+use crate::geometry::{KdTree, Neighbour, Rng, Walk, farthest_point_sampling};
 
 /// Neighbours that a point's spacing is measured to: the ring around it on an even surface, and some.
 const SPACING_NEIGHBOURS: usize = 8;
@@ -123,12 +123,12 @@ impl Patches {
 
 /// O(n log n), in the tree's order for the sake of caches.
 fn spacing(points: &[Point], tree: &KdTree) -> Vec<f32> {
-    let mean = |found: &mut Vec<Neighbour>, &i: &u32| {
-        tree.nearest(points[i as usize], SPACING_NEIGHBOURS + 1, found);
-        let distances = found.iter().map(|n| n.distance_squared.sqrt());
-        distances.sum::<f32>() / (found.len() - 1) as f32
+    let mean = |walk: &mut Walk, &i: &u32| {
+        tree.nearest_next(points[i as usize], SPACING_NEIGHBOURS + 1, walk);
+        let distances = walk.found.iter().map(|n| n.distance_squared.sqrt());
+        distances.sum::<f32>() / (walk.found.len() - 1) as f32
     };
-    let in_order: Vec<f32> = tree.order().par_iter().map_init(Vec::new, mean).collect();
+    let in_order: Vec<f32> = tree.order().par_iter().map_init(Walk::default, mean).collect();
     let mut spacing = vec![0.0; points.len()];
     for (&i, value) in tree.order().iter().zip(in_order) {
         spacing[i as usize] = value;

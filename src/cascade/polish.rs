@@ -13,7 +13,7 @@ use super::balance::{SURPLUS, balanced};
 use super::strays::Measured;
 use super::{CascadeError, Observer};
 use crate::cloud::Point;
-use crate::geometry::{KdTree, Neighbour, Rng, farthest_point_sampling, normal, project_to_surface};
+use crate::geometry::{KdTree, Neighbour, Rng, Walk, farthest_point_sampling, normal, project_to_surface};
 
 /// Neighbours that a point shares midpoints with: the ring around it, and some.
 const NEIGHBOURS: usize = 7;
@@ -108,8 +108,9 @@ impl Ring {
 
 /// The ring of each of `points`, of which `tree` is built; best when they lie in the order of a tree.
 fn rings(tree: &KdTree, points: &[Point]) -> Vec<Ring> {
-    let around = |found: &mut Vec<Neighbour>, i: usize| {
-        tree.nearest(points[i], NORMAL_NEIGHBOURS, found);
+    let around = |walk: &mut Walk, i: usize| {
+        tree.nearest_next(points[i], NORMAL_NEIGHBOURS, walk);
+        let found = &walk.found;
         let mut ring = Ring::default();
         for n in found.iter().filter(|n| n.index as usize != i).take(NEIGHBOURS) {
             ring.others[usize::from(ring.count)] = n.index;
@@ -118,7 +119,7 @@ fn rings(tree: &KdTree, points: &[Point]) -> Vec<Ring> {
         (ring, normal(points, found))
     };
     let (mut rings, normals): (Vec<Ring>, Vec<[f32; 3]>) =
-        (0..points.len()).into_par_iter().map_init(Vec::new, around).unzip();
+        (0..points.len()).into_par_iter().map_init(Walk::default, around).unzip();
     rings.par_iter_mut().enumerate().for_each(|(i, ring)| {
         let all = *ring;
         ring.count = 0;

@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 
 use crate::cloud::Point;
-use crate::geometry::KdTree;
+use crate::geometry::{KdTree, Walk};
 
 /// A point that a unit made.
 #[derive(Debug, Clone, Copy, Default)]
@@ -35,12 +35,16 @@ impl Measured {
 
     /// For each point the distance to the nearest input point, in that one's spacing; NaN where it is not finite.
     fn distances(&self, made: &[Made]) -> Vec<f32> {
-        let measure = |m: &Made| {
-            let finite = m.at.iter().all(|c| c.is_finite());
-            let nearest = finite.then(|| self.tree.nearest_one(m.at)).flatten();
-            nearest.map_or(f32::NAN, |n| n.distance_squared.sqrt() / self.spacing[n.index as usize])
+        let measure = |walk: &mut Walk, m: &Made| {
+            if !m.at.iter().all(|c| c.is_finite()) {
+                return f32::NAN;
+            }
+            self.tree.nearest_next(m.at, 1, walk);
+            walk.found
+                .first()
+                .map_or(f32::NAN, |n| n.distance_squared.sqrt() / self.spacing[n.index as usize])
         };
-        made.par_iter().map(measure).collect()
+        made.par_iter().map_init(Walk::default, measure).collect()
     }
 }
 

@@ -9,6 +9,9 @@ const PARALLEL: usize = 1 << 13;
 /// Up to this many neighbours are kept sorted, which is faster than a heap for few.
 const SORTED_MAX: usize = 64;
 
+/// The key of no point: above all others.
+const NOTHING: u64 = u64::MAX;
+
 /// A point found near a query.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Neighbour {
@@ -16,6 +19,14 @@ pub struct Neighbour {
     pub index: u32,
     /// Its squared distance, in `f32` as `dx * dx + dy * dy + dz * dz`.
     pub distance_squared: f32,
+}
+
+/// Where [`KdTree::nearest_next`] is, and what it found there, as [`KdTree::nearest`] gives it.
+#[derive(Debug, Clone, Default)]
+pub struct Walk {
+    /// The last answer.
+    pub found: Vec<Neighbour>,
+    at: Point,
 }
 
 /// A balanced k-d tree over points, which it copies into leaf order.
@@ -114,17 +125,39 @@ impl KdTree {
     /// The `k` nearest points, ascending by distance, ties by index; all when there are fewer.
     /// `out` is cleared first; its capacity is reused.
     pub fn nearest(&self, query: Point, k: usize, out: &mut Vec<Neighbour>) {
+        self.nearest_below(query, k, NOTHING, out);
+    }
+
+    /// As [`KdTree::nearest`], into `walk.found`, for a row of queries near each other: the last
+    /// answer bounds the next one. A walk belongs to one tree and one `k`.
+    pub fn nearest_next(&self, query: Point, k: usize, walk: &mut Walk) {
+        let limit = match walk.found.last() {
+            // The k points found are no further than this, by the triangle inequality; rounding may
+            // take a few of the last bits.
+            Some(last) if walk.found.len() == k => {
+                let step = squared(std::array::from_fn(|a| query[a] - walk.at[a])).sqrt();
+                let reach = (last.distance_squared.sqrt() + step) * (1.0 + 1e-5);
+                u64::from((reach * reach).to_bits()) << 32 | u64::from(u32::MAX)
+            }
+            _ => NOTHING,
+        };
+        self.nearest_below(query, k, limit, &mut walk.found);
+        walk.at = query;
+    }
+
+    /// `limit`: a key above those of the answer.
+    fn nearest_below(&self, query: Point, k: usize, limit: u64, out: &mut Vec<Neighbour>) {
         out.clear();
         let k = k.min(self.len());
         if k == 0 {
             return;
         }
         if k <= SORTED_MAX {
-            let mut best = Sorted { keys: [u64::MAX; SORTED_MAX], k };
+            let mut best = Sorted { keys: [limit; SORTED_MAX], k };
             self.search(query, &mut best);
             out.extend(best.keys[..k].iter().map(|&key| neighbour(key)));
         } else {
-            let mut best = Pool { keys: Vec::with_capacity(2 * k), k, worst: u64::MAX };
+            let mut best = Pool { keys: Vec::with_capacity(2 * k), k, worst: limit };
             self.search(query, &mut best);
             best.shrink();
             best.keys.sort_unstable();
@@ -276,7 +309,7 @@ fn neighbour(key: u64) -> Neighbour {
 
 fn distance(key: u64) -> f32 {
     // No key yet: everything is welcome.
-    if key == u64::MAX { f32::INFINITY } else { f32::from_bits((key >> 32) as u32) }
+    if key == NOTHING { f32::INFINITY } else { f32::from_bits((key >> 32) as u32) }
 }
 
 /// The one expression for squared lengths in this module: results must agree to the last bit.
@@ -367,9 +400,12 @@ mod tests {
             let points = cloud(seed, n, kind);
             let tree = KdTree::new(&points);
             let mut out = vec![Neighbour { index: 9, distance_squared: 9.0 }];
+            let mut walk = Walk::default();
             for q in cloud(seed ^ 1, 4, 0).into_iter().chain(points.iter().copied().take(4)).chain([[7.0, -3.0, 0.1]]) {
                 tree.nearest(q, k, &mut out);
                 prop_assert_eq!(&out, &brute(&points, q, k));
+                tree.nearest_next(q, k, &mut walk);
+                prop_assert_eq!(&walk.found, &out);
                 prop_assert_eq!(tree.nearest_one(q), brute(&points, q, 1).first().copied());
             }
         }

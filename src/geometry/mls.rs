@@ -4,7 +4,7 @@ use pulp::Arch;
 use rayon::prelude::*;
 
 use super::normals::least_eigenvector;
-use super::{KdTree, Neighbour};
+use super::{KdTree, Neighbour, Walk};
 use crate::cloud::Point;
 
 /// Points that a local surface is fitted to.
@@ -34,12 +34,12 @@ const CHUNK: usize = 256;
 /// depend on the number of threads.
 pub fn project_to_surface(points: &mut [Point], support: &[Point], tree: &KdTree) {
     let arch = Arch::new();
-    points.par_chunks_mut(CHUNK).for_each_init(Vec::new, |near, chunk| {
+    points.par_chunks_mut(CHUNK).for_each_init(Walk::default, |walk, chunk| {
         // Compiled for the processor's own vectors: the sums over neighbours are half of the time.
         arch.dispatch(|| {
             for point in chunk {
-                tree.nearest(*point, NEIGHBOURS, near);
-                *point = foot(*point, support, near);
+                tree.nearest_next(*point, NEIGHBOURS, walk);
+                *point = foot(*point, support, &walk.found);
             }
         });
     });

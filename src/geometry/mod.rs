@@ -26,7 +26,7 @@ mod surface_distance;
 mod uniform;
 
 pub use farthest::farthest_point_sampling;
-pub use kdtree::{KdTree, Neighbour};
+pub use kdtree::{KdTree, Neighbour, Walk};
 pub use mesh::{Mesh, MeshError};
 pub use mls::project_to_surface;
 pub use normals::estimate_normals;
