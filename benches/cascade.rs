@@ -1,7 +1,7 @@
-//! Seconds of each stage of a whole cascade.
+//! Seconds of each stage of a whole cascade, and of one level alone.
 //!
-//! `cargo bench --bench cascade -- [POINTS] [RATIO] [THREADS] [RUNS] [MODEL]`, by default 5000 16 2 5
-//! and the model inside the program.
+//! `cargo bench --bench cascade [-- POINTS RATIO [THREADS] [RUNS] [MODEL]]`; without POINTS one level and four sizes,
+//! by default on 2 threads, 5 runs each, with the model inside the program.
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -11,29 +11,40 @@ use densecloud::cascade::{Settings, Stage, Target};
 use densecloud::engine::{Engine, EngineConfig, Request, StageTimes};
 use densecloud::geometry::{poisson_disk, shape};
 
+/// Points in, ratio, and whether the last level is polished.
+const SIZES: [(usize, f64, bool); 5] =
+    [(5000, 2.0, false), (2048, 16.0, true), (5000, 16.0, true), (20_000, 4.0, true), (100_000, 4.0, true)];
+
 fn main() {
     // Cargo adds `--bench`.
     let numbers: Vec<f64> = std::env::args().skip(1).filter_map(|a| a.parse().ok()).collect();
     let number = |i: usize, default: f64| numbers.get(i).copied().unwrap_or(default);
-    let (points, ratio) = (number(0, 5000.0) as usize, number(1, 16.0));
+    let one = [(number(0, 0.0) as usize, number(1, 16.0), true)];
+    let sizes = if numbers.is_empty() { &SIZES[..] } else { &one[..] };
     let (threads, runs) = (number(2, 2.0) as usize, number(3, 5.0) as usize);
 
-    let mesh = shape("knot").expect("a built-in shape");
-    let positions = poisson_disk(&mesh, points, 0).expect("samples of it");
     let folder = std::env::args().skip(1).map(std::path::PathBuf::from).find(|path| path.is_dir());
     let model = folder.map_or_else(Model::embedded, |folder| Model::load(&folder));
     let model = Arc::new(model.expect("a model"));
     let config = EngineConfig { threads, concurrency: 1, queue_points: u64::MAX };
     let start = Instant::now();
     let engine = Engine::new(model, config).expect("an engine");
-    let opened = start.elapsed();
+    println!("{threads} threads; open the model: {:.3} s", start.elapsed().as_secs_f64());
+    for &(points, ratio, polish) in sizes {
+        measure(&engine, points, ratio, polish, runs);
+    }
+}
+
+fn measure(engine: &Engine, points: usize, ratio: f64, polish: bool, runs: usize) {
+    let mesh = shape("knot").expect("a built-in shape");
+    let positions = poisson_disk(&mesh, points, 0).expect("samples of it");
     let mut seconds = Vec::new();
     let mut stages: Vec<StageTimes> = Vec::new();
     for _ in 0..=runs {
         let request = Request {
             positions: positions.clone(),
             target: Target::Ratio(ratio),
-            settings: Settings::default(),
+            settings: Settings { polish, ..Settings::default() },
         };
         let start = Instant::now();
         let outcome = engine.submit(request).expect("admitted").wait().expect("a dense cloud");
@@ -44,9 +55,10 @@ fn main() {
     seconds.remove(0);
     stages.remove(0);
 
-    println!("{points} points, ratio {ratio}, {threads} threads, {runs} runs; seconds: median (min to max)");
-    println!("open the model  {:.3}", opened.as_secs_f64());
+    let what = if polish { "" } else { ", no polish" };
+    println!("\n{points} points, ratio {ratio}{what}, {runs} runs; seconds: median (min to max)");
     print("whole", &mut seconds);
+    println!("{:<15} {:.0}", "points out / s", points as f64 * ratio / seconds[seconds.len() / 2]);
     for (i, stage) in Stage::ALL.into_iter().enumerate() {
         let of = |times: &StageTimes| times.iter().nth(i).map_or(0.0, |(_, time)| time.as_secs_f64());
         print(stage.name(), &mut stages.iter().map(of).collect::<Vec<_>>());
