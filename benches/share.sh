@@ -1,5 +1,5 @@
 #!/bin/sh
-# A small request (2,048 points, 4x) to the server alone, and while large ones (500,000 points, 4x) are computed.
+# A small request (2,048 points, 4x) to the server alone, and while large ones (a million points, 4x) are computed.
 # `benches/share.sh [RUNS] [THREADS] [LARGE ONES ...]`, by default 9 2 0 1 3; needs `make build` and curl.
 set -eu
 cd "$(dirname "$0")/.."
@@ -9,8 +9,8 @@ threads=${2:-2}
 program=${CARGO_TARGET_DIR:-target}/release/densecloud
 work=$(mktemp -d)
 "$program" sample shape:knot "$work/small.ply" --points 2048
-"$program" sample shape:knot "$work/large.ply" --points 500000 --method uniform
-"$program" serve --host 127.0.0.1 --port 18765 --max-points-in 1000000 --max-points-out 20000000 --threads "$threads" >"$work/log" 2>&1 &
+"$program" sample shape:knot "$work/large.ply" --points 1000000 --method uniform
+"$program" serve --host 127.0.0.1 --port 18765 --max-points-in 2000000 --max-points-out 20000000 --threads "$threads" >"$work/log" 2>&1 &
 server=$!
 trap 'kill $server 2>/dev/null; rm -rf "$work"' EXIT
 url=http://127.0.0.1:18765
