@@ -196,6 +196,27 @@ mod tests {
         }
     }
 
+    /// What our kernels refuse, in their own words: so it is they that run, not the functions in the file.
+    #[test]
+    fn our_kernels_are_the_ones_that_run() {
+        let model = Arc::new(Model::embedded().unwrap());
+        let (n, c) = (model.card.patch_size, model.card.channels);
+        let mut session = OnnxBackend::new(Arc::clone(&model)).unwrap().open().unwrap();
+        let (points, features) = (vec![0.5; n * 3], vec![f16::ONE; 7 * c]);
+        let (indices, distances) = (vec![7; n * SKIP_NEIGHBOURS], vec![1.0; n * SKIP_NEIGHBOURS]);
+        let skip = SkipInput { features: &features, indices: &indices, distances: &distances };
+        let mut refused = |points: &[f32], skip| {
+            let patch_points = points.len() / 3;
+            let batch = Batch { patches: 1, patch_points, points, skip: Some(skip), want_features: false };
+            session.run(1, &batch, &mut Output::default()).unwrap_err().to_string()
+        };
+        let row = refused(&points, skip);
+        assert!(row.contains("an index of BilateralSkip names no row"), "{row}");
+        let few =
+            refused(&points[..9], SkipInput { indices: &indices[..15], distances: &distances[..15], ..skip });
+        assert!(few.contains("3 rows have no 16 others each"), "{few}");
+    }
+
     #[test]
     fn a_file_that_is_no_graph_is_refused_by_name() {
         let mut model = Model::embedded().unwrap();

@@ -9,7 +9,7 @@ use crate::cascade::{Observer, Stage};
 /// A moment in a job's life.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Progress {
-    /// The stage that runs; none while the job waits in the queue.
+    /// The stage that runs; none while the job waits in the queue, and when it is done.
     pub stage: Option<Stage>,
     /// The level that runs, from 1; 0 while the job waits.
     pub level: usize,
