@@ -24,3 +24,5 @@ for run in $(seq "$runs"); do
 done
 echo "once: PyTorch, plain farthest point sampling"
 torch plain
+echo "once: PyTorch, the same in PyTorch's usual tensor form"
+torch tensor

@@ -63,13 +63,19 @@ def nearest(points: torch.Tensor, cloud: torch.Tensor, k: int) -> Tuple[torch.Te
 
 
 def farthest_point_sampling(points: torch.Tensor, count: int, method: str) -> torch.Tensor:
-    """`count` indices, the first being 0; each next is the point farthest from those chosen. Quadratic when `plain`."""
+    """`count` indices, the first being 0; each next is the point farthest from those chosen.
+
+    `tensor` and `plain` are quadratic: the first as PyTorch code for point clouds usually has it, the second the same
+    with NumPy's in-place operations.
+    """
     if method == "fpsample":
         import fpsample
 
         height = max(1, min(7, int(math.log2(max(2, len(points) / 100)))))
         chosen = fpsample.bucket_fps_kdline_sampling(points.numpy(), count, h=height, start_idx=0)
         return torch.from_numpy(chosen.astype(np.int64))
+    if method == "tensor":
+        return tensor_sampling(points, count)
     columns = points.numpy().T.copy()
     chosen = np.zeros(count, dtype=np.int64)
     distances = np.full(columns.shape[1], np.inf, dtype=np.float32)
@@ -78,6 +84,18 @@ def farthest_point_sampling(points: torch.Tensor, count: int, method: str) -> to
         np.minimum(distances, np.einsum("ij,ij->j", offsets, offsets), out=distances)
         chosen[i] = distances.argmax()
     return torch.from_numpy(chosen)
+
+
+def tensor_sampling(points: torch.Tensor, count: int) -> torch.Tensor:
+    """Farthest point sampling in whole-tensor operations, with a mask for what came nearer."""
+    chosen = torch.zeros(count, dtype=torch.long)
+    distances = torch.full((len(points),), math.inf)
+    for i in range(1, count):
+        to_last = ((points - points[chosen[i - 1]]) ** 2).sum(-1)
+        nearer = to_last < distances
+        distances[nearer] = to_last[nearer]
+        chosen[i] = distances.argmax()
+    return chosen
 
 
 def cover(points: torch.Tensor, seeds: torch.Tensor, size: int) -> torch.Tensor:
@@ -175,7 +193,12 @@ def main() -> None:
     parser.add_argument("--inner", type=float, default=INNER, help="share of a patch, around its seed, merged")
     parser.add_argument("--threads", type=int, default=0, help="0: as PyTorch decides")
     parser.add_argument("--batch", type=int, default=16, help="patches at once")
-    parser.add_argument("--fps", choices=["plain", "fpsample"], default="plain", help="fpsample: the package's C++ one")
+    parser.add_argument(
+        "--fps",
+        choices=["plain", "tensor", "fpsample"],
+        default="plain",
+        help="fpsample: the package's C++ one; tensor: PyTorch's usual form of the plain one",
+    )
     arguments = parser.parse_args()
     if arguments.threads:
         torch.set_num_threads(arguments.threads)
