@@ -6,6 +6,7 @@
 use std::sync::Arc;
 use std::time::Instant;
 
+use densecloud::attributes::Rules;
 use densecloud::backend::Model;
 use densecloud::cascade::{Settings, Stage, Target};
 use densecloud::engine::{Engine, EngineConfig, Request, StageTimes};
@@ -42,9 +43,10 @@ fn measure(engine: &Engine, points: usize, ratio: f64, polish: bool, runs: usize
     let mut stages: Vec<StageTimes> = Vec::new();
     for _ in 0..=runs {
         let request = Request {
-            positions: positions.clone(),
+            cloud: positions.clone().into(),
             target: Target::Ratio(ratio),
             settings: Settings { polish, ..Settings::default() },
+            rules: Rules::default(),
         };
         let start = Instant::now();
         let outcome = engine.submit(request).expect("admitted").wait().expect("a dense cloud");

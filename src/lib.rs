@@ -4,6 +4,7 @@
 //! [`geometry`] and a [`backend`]) -> [`formats`] -> bytes. The [`engine`] queues and runs
 //! cascades; [`server`] and [`cli`] are thin edges over it, and [`evaluate`] scores results.
 
+pub mod attributes;
 pub mod backend;
 pub mod cascade;
 pub mod cli;

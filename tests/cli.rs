@@ -98,21 +98,60 @@ fn standard_streams_give_what_files_give() {
     assert!(piped.stdout == std::fs::read(output).expect("a result"));
 }
 
-#[test]
-fn dropped_properties_are_named() {
+/// A spiral of 60 points: `red` says how high, `label` which half.
+fn coloured() -> String {
     let mut ply = "ply\nformat ascii 1.0\nelement vertex 60\nproperty float x\nproperty float y\n\
-                   property float z\nproperty uchar red\nproperty float nx\nend_header\n"
+                   property float z\nproperty uchar red\nproperty int label\nelement camera 1\nproperty float view\n\
+                   end_header\n"
         .to_owned();
     for i in 0..60 {
         let t = f64::from(i) * 0.3;
-        ply += &format!("{} {} {} 255 0.5\n", t.cos(), t.sin(), t * 0.1);
+        ply += &format!("{} {} {} {} {}\n", t.cos(), t.sin(), t * 0.1, i * 4, if i < 30 { 3 } else { 8 });
     }
-    let output = fed(&["upsample", "-", "-", "--ratio", "2"], ply.as_bytes());
-    assert!(output.status.success());
-    assert!(stderr(&output).contains("not carried over to the result: red, nx"), "{}", stderr(&output));
-    assert!(output.stdout.starts_with(b"ply\nformat ascii 1.0\n"));
-    let quiet = fed(&["upsample", "-", "-", "--ratio", "2", "--quiet"], ply.as_bytes());
+    ply + "1\n"
+}
+
+#[test]
+fn attributes_are_carried_over_and_what_is_not_is_named() {
+    let output = fed(&["upsample", "-", "-", "--ratio", "4"], coloured().as_bytes());
+    assert!(output.status.success(), "{}", stderr(&output));
+    assert!(stderr(&output).contains("not carried over to the result: camera"), "{}", stderr(&output));
+    let text = String::from_utf8(output.stdout).expect("text");
+    let (header, rows) = text.split_once("end_header\n").expect("a header");
+    assert!(header.ends_with("property float z\nproperty uchar red\nproperty int label\n"), "{header}");
+    let rows: Vec<Vec<f64>> =
+        rows.lines().map(|l| l.split(' ').map(|f| f.parse().expect("a number")).collect()).collect();
+    assert_eq!(rows.len(), 240);
+    for row in &rows {
+        let [_, _, z, red, label] = row[..] else { panic!("{row:?}") };
+        // The spiral climbs 0.03 a point, and the network moves points by less than one turn.
+        assert!((red - z / 0.03 * 4.0).abs() < 40.0, "{row:?}");
+        assert!(label == 3.0 || label == 8.0, "{row:?}");
+    }
+    assert!(rows.iter().any(|r| r[3] % 4.0 != 0.0), "colours are interpolated");
+    let quiet = fed(&["upsample", "-", "-", "--ratio", "2", "--quiet"], coloured().as_bytes());
     assert_eq!(stderr(&quiet), "");
+}
+
+#[test]
+fn rules_for_attributes_are_set_by_name() {
+    let run = |rules: &str| {
+        fed(&["upsample", "-", "-", "--ratio", "4", "--attributes", rules], coloured().as_bytes())
+    };
+    let nearest = run("red:nearest,label:drop");
+    assert!(nearest.status.success(), "{}", stderr(&nearest));
+    let text = String::from_utf8(nearest.stdout).expect("text");
+    assert!(!text.contains("label"));
+    let (_, rows) = text.split_once("end_header\n").expect("a header");
+    let red = |row: &str| row.split(' ').nth(3).expect("red").parse::<u32>().expect("a number");
+    assert!(rows.lines().all(|row| red(row) % 4 == 0), "values of the source alone");
+    for (rules, told) in
+        [("blue:mean", "no attribute \"blue\"; the input has red, label"), ("red", "NAME:mean")]
+    {
+        let refused = run(rules);
+        assert_eq!(refused.status.code(), Some(64));
+        assert!(stderr(&refused).contains(told), "{}", stderr(&refused));
+    }
 }
 
 #[test]

@@ -35,11 +35,13 @@ pub enum Stage {
     Units,
     /// Farthest point sampling of the merged output to the level's size.
     Resample,
+    /// After the last level, and not by the cascade: finding the new points' attributes.
+    Attributes,
 }
 
 impl Stage {
     /// All stages, in their order.
-    pub const ALL: [Self; 4] = [Self::Seeds, Self::Patches, Self::Units, Self::Resample];
+    pub const ALL: [Self; 5] = [Self::Seeds, Self::Patches, Self::Units, Self::Resample, Self::Attributes];
 
     /// The name in logs and metrics.
     #[must_use]
@@ -49,6 +51,7 @@ impl Stage {
             Self::Patches => "patches",
             Self::Units => "units",
             Self::Resample => "resample",
+            Self::Attributes => "attributes",
         }
     }
 }

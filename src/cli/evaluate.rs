@@ -7,6 +7,7 @@ use clap::Args;
 use super::CliError;
 use super::engine_args::EngineArgs;
 use super::files;
+use crate::attributes::Rules;
 use crate::cascade::{self, Target};
 use crate::cloud::Position;
 use crate::engine::{Engine, Job, Request};
@@ -249,7 +250,12 @@ impl Shape<'_> {
 
 impl Cascade {
     fn run(&self, name: &str, positions: Vec<Position>) -> Result<Vec<Position>, CliError> {
-        let request = Request { positions, target: self.target, settings: self.settings };
+        let request = Request {
+            cloud: positions.into(),
+            target: self.target,
+            settings: self.settings,
+            rules: Rules::default(),
+        };
         let outcome = self.engine.submit(request).and_then(Job::wait);
         outcome.map(|o| o.positions).map_err(|e| CliError::Failed(format!("shape `{name}`: {e}")))
     }

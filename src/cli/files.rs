@@ -5,7 +5,7 @@ use std::io::{self, BufReader, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 use super::CliError;
-use crate::cloud::{Cloud, Position};
+use crate::cloud::{Attribute, Cloud, Position};
 use crate::formats::{CloudReader, CloudWriter, Format, Header, Limits, read_cloud_file};
 
 pub(super) fn is_stream(path: &Path) -> bool {
@@ -26,10 +26,15 @@ pub(super) fn read_cloud(path: &Path) -> Result<(Cloud, Header), CliError> {
 }
 
 /// Writes a cloud, `-` to standard output.
-pub(super) fn write_cloud(path: &Path, format: Format, positions: &[Position]) -> Result<(), CliError> {
+pub(super) fn write_cloud(
+    path: &Path,
+    format: Format,
+    positions: &[Position],
+    attributes: &[Attribute],
+) -> Result<(), CliError> {
     write(path, |sink| {
-        let mut writer = CloudWriter::new(sink, format, positions.len() as u64)?;
-        writer.write(positions)?;
+        let mut writer = CloudWriter::with_attributes(sink, format, positions.len() as u64, attributes)?;
+        writer.write_rows(positions, attributes, 0)?;
         writer.finish()?;
         Ok(())
     })
@@ -69,7 +74,7 @@ mod tests {
     fn a_failure_leaves_what_was_there() {
         let dir = tempfile::tempdir().expect("a folder");
         let path = dir.path().join("cloud.xyz");
-        write_cloud(&path, Format::Xyz, &[[1.0, 2.0, 3.0]]).expect("a file");
+        write_cloud(&path, Format::Xyz { names: false }, &[[1.0, 2.0, 3.0]], &[]).expect("a file");
         let failed = write(&path, |sink| {
             sink.write_all(b"half")?;
             Err("no more".into())

@@ -9,6 +9,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 
 use super::engine_args::EngineArgs;
 use super::{CliError, files};
+use crate::attributes::Rules;
 use crate::cascade::{Settings, Target};
 use crate::engine::{EngineError, Job, Outcome, ProgressHandle, Request};
 use crate::formats::{Format, Scalar};
@@ -59,6 +60,11 @@ pub(super) struct UpsampleArgs {
     #[arg(long)]
     no_polish: bool,
 
+    /// How new points come by their attributes, by name: mean (of the nearest), nearest or drop, such as
+    /// `label:nearest,curvature:drop` [default: by name and type]
+    #[arg(long, value_name = "NAME:RULE,...")]
+    attributes: Option<Rules>,
+
     /// Say nothing but errors
     #[arg(short, long)]
     quiet: bool,
@@ -78,7 +84,7 @@ pub(super) fn run(args: &UpsampleArgs) -> Result<(), CliError> {
     }
     let start = Instant::now();
     let (cloud, header) = files::read_cloud(&args.input)?;
-    let format = output_format(&args.output, header.format);
+    let format = output_format(&args.output, header.format, !cloud.attributes.is_empty());
     let note = |text: String| {
         if !args.quiet {
             eprintln!("densecloud: {text}");
@@ -99,12 +105,20 @@ pub(super) fn run(args: &UpsampleArgs) -> Result<(), CliError> {
     };
     let engine = args.engine.engine()?;
     let fail = |e: EngineError| CliError::file(&args.input, e);
-    let job = engine.submit(Request { positions: cloud.positions, target, settings }).map_err(fail)?;
+    let rules = args.attributes.clone().unwrap_or_default();
+    let names: Vec<&str> = cloud.attributes.iter().map(|a| a.name.as_str()).collect();
+    if let Some(unknown) = rules.unknown(&names).next() {
+        let known = if names.is_empty() { "none".to_owned() } else { names.join(", ") };
+        return Err(CliError::Usage(format!(
+            "--attributes: no attribute {unknown:?}; the input has {known}"
+        )));
+    }
+    let job = engine.submit(Request { cloud, target, settings, rules }).map_err(fail)?;
     let outcome = wait(job, args.quiet).map_err(fail)?;
     for warning in outcome.warnings() {
         note(format!("warning: {warning}"));
     }
-    files::write_cloud(&args.output, format, &outcome.positions)?;
+    files::write_cloud(&args.output, format, &outcome.positions, &outcome.attributes)?;
     note(format!(
         "{points_in} -> {} points in {:.1} s ({})",
         outcome.positions.len(),
@@ -116,11 +130,14 @@ pub(super) fn run(args: &UpsampleArgs) -> Result<(), CliError> {
 
 /// The kind that the output's extension names, else the input's; where both are the same kind, in
 /// the input's encoding and number type.
-fn output_format(path: &Path, input: Format) -> Format {
+fn output_format(path: &Path, input: Format, attributes: bool) -> Format {
     match (Format::from_extension(path), input) {
-        (Some(Format::Xyz), _) => Format::Xyz,
+        // Names of a header would be lost without a line for them.
+        (Some(Format::Xyz { .. }), Format::Ply { .. }) => Format::Xyz { names: attributes },
         // Text has no width that could be kept; doubles lose nothing of it.
-        (Some(Format::Ply { encoding, .. }), Format::Xyz) => Format::Ply { encoding, scalar: Scalar::F64 },
+        (Some(Format::Ply { encoding, .. }), Format::Xyz { .. }) => {
+            Format::Ply { encoding, scalar: Scalar::F64 }
+        }
         _ => input,
     }
 }
@@ -157,5 +174,5 @@ fn shares(outcome: &Outcome) -> String {
     let share = |(stage, time): (crate::cascade::Stage, Duration)| {
         format!("{} {:.0} %", stage.name(), 100.0 * time.as_secs_f64() / total)
     };
-    outcome.stages.iter().map(share).collect::<Vec<_>>().join(", ")
+    outcome.stages.iter().filter(|(_, time)| !time.is_zero()).map(share).collect::<Vec<_>>().join(", ")
 }

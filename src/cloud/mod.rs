@@ -1,8 +1,11 @@
 //! The point cloud as the rest of the library sees it: true coordinates, and the local frame in
 //! which all geometry is computed.
 
+mod attribute;
 mod frame;
 
+pub(crate) use attribute::each_kind;
+pub use attribute::{Attribute, Kind, Values, bytes_a_point};
 pub use frame::{Frame, FrameError};
 
 /// A position in the local [`Frame`]: `f32`, within about [-1, 1] on each axis.
@@ -17,9 +20,17 @@ pub struct Cloud {
     /// One entry a point, in the file's order and units. May hold non-finite values: see
     /// [`crate::cascade`] for the rule about them.
     pub positions: Vec<Position>,
-    /// Names of the properties that the reader saw and did not keep (for example `red`), in the
-    /// file's order.
+    /// What else the file tells of each point, in the file's order.
+    pub attributes: Vec<Attribute>,
+    /// Names of what the reader saw and did not keep (for example `face`), in the file's order.
     pub dropped_properties: Vec<String>,
+}
+
+/// A cloud of nothing but positions.
+impl From<Vec<Position>> for Cloud {
+    fn from(positions: Vec<Position>) -> Self {
+        Self { positions, ..Self::default() }
+    }
 }
 
 impl Cloud {

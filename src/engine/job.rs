@@ -11,9 +11,10 @@ use tokio::sync::oneshot;
 use super::progress::{Progress, StageTimes, Watch};
 use super::queue::{Permit, Queue};
 use super::{EngineError, Request};
+use crate::attributes;
 use crate::backend::{Lane, Workers};
-use crate::cascade;
-use crate::cloud::Position;
+use crate::cascade::{self, CascadeError, Observer, Stage};
+use crate::cloud::{Attribute, Position};
 
 /// A request that was admitted. Await it, or [`Job::wait`] for it; drop it to stop the work within
 /// one batch of patches.
@@ -30,6 +31,8 @@ pub struct Job {
 pub struct Outcome {
     /// The dense cloud.
     pub positions: Vec<Position>,
+    /// What else is known of each point.
+    pub attributes: Vec<Attribute>,
     /// Points left out because a coordinate was NaN or infinite.
     pub dropped_non_finite: usize,
     /// Points that coincided with an earlier one.
@@ -158,19 +161,29 @@ fn run(queue: &Queue, workers: &Workers, task: &Task, work: Work) {
     let start = std::time::Instant::now();
     // A panic is a bug in one request; it must not take the thread, and the service, with it.
     let done = std::panic::catch_unwind(AssertUnwindSafe(|| {
-        cascade::upsample(&request.positions, request.target, &request.settings, workers, &task.watch)
+        let Request { cloud, target, settings, rules } = &request;
+        let dense = cascade::upsample(&cloud.positions, *target, settings, workers, &task.watch)?;
+        if cloud.attributes.is_empty() {
+            return Ok::<_, CascadeError>((dense, Vec::new()));
+        }
+        task.watch.begin(task.watch.progress().levels.saturating_sub(1), Stage::Attributes);
+        let cancelled = || task.watch.cancelled();
+        let carry = || attributes::carry(cloud, &dense.positions, rules, &cancelled);
+        let carried = workers.install(task.lane, carry).ok_or(CascadeError::Cancelled)?;
+        Ok((dense, carried))
     }));
     let outcome = match done {
-        Ok(Ok(dense)) => {
+        Ok(Ok((dense, attributes))) => {
             queue.measured(dense.positions.len() as u64, start.elapsed());
             Ok(Outcome {
                 positions: dense.positions,
+                attributes,
                 dropped_non_finite: dense.dropped_non_finite,
                 duplicates: dense.duplicates,
                 stages: task.watch.finish(),
             })
         }
-        Ok(Err(error)) => Err(error.into()),
+        Ok(Err(error)) => Err(EngineError::from(error)),
         Err(panic) => Err(EngineError::Internal(message(&*panic))),
     };
     // Before the answer, so that a caller who has it finds its points free.

@@ -14,20 +14,23 @@ use std::time::Duration;
 pub use job::{Job, Outcome, ProgressHandle};
 pub use progress::{Progress, StageTimes};
 
+use crate::attributes::Rules;
 use crate::backend::{Backend, BackendError, Lane, Model, OnnxBackend, Workers};
 use crate::cascade::{self, CascadeError, Settings, Silent, Target};
-use crate::cloud::Position;
+use crate::cloud::{Cloud, Position};
 use queue::Queue;
 
 /// What a caller wants done.
 #[derive(Debug, Clone)]
 pub struct Request {
     /// The cloud, in its own coordinates.
-    pub positions: Vec<Position>,
+    pub cloud: Cloud,
     /// How many points are wanted.
     pub target: Target,
     /// How to run the cascade.
     pub settings: Settings,
+    /// How new points come by their attributes.
+    pub rules: Rules,
 }
 
 /// Sizes of the engine.
@@ -166,7 +169,7 @@ impl Engine {
     /// [`EngineError::Full`] when the queue's budget of points is used up;
     /// [`EngineError::Cascade`] when the target is impossible for this many points.
     pub fn submit(&self, request: Request) -> Result<Job, EngineError> {
-        let finite = request.positions.iter().filter(|p| p.iter().all(|c| c.is_finite())).count();
+        let finite = request.cloud.positions.iter().filter(|p| p.iter().all(|c| c.is_finite())).count();
         let points_out = request.target.points_out(finite as u64)?;
         Job::queue(&self.inner.queue, request, points_out)
     }

@@ -37,7 +37,7 @@ impl StageTimes {
 }
 
 /// Rough shares of a level's time, for [`Progress::fraction`] alone.
-const SHARES: [f64; Stage::ALL.len()] = [0.01, 0.06, 0.53, 0.40];
+const SHARES: [f64; Stage::ALL.len()] = [0.01, 0.06, 0.53, 0.40, 0.0];
 
 /// Watches one cascade: the engine's [`Observer`].
 pub(super) struct Watch {

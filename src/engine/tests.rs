@@ -9,13 +9,18 @@ fn engine(fake: &Fake, queue_points: u64) -> Engine {
 }
 
 fn request(points: u32, ratio: f64) -> Request {
-    let positions = (0..points)
+    let positions: Vec<_> = (0..points)
         .map(|i| {
             let t = f64::from(i) * 0.1;
             [t.cos(), t.sin(), t * 0.3]
         })
         .collect();
-    Request { positions, target: Target::Ratio(ratio), settings: Settings::default() }
+    Request {
+        cloud: positions.into(),
+        target: Target::Ratio(ratio),
+        settings: Settings::default(),
+        rules: Rules::default(),
+    }
 }
 
 fn wait_until(what: &str, done: impl Fn() -> bool) {
@@ -32,7 +37,8 @@ fn a_job_gives_what_the_cascade_gives() {
     let request = request(200, 4.0);
     let workers = Workers::new(Arc::new(Fake::new()), 1).unwrap();
     let direct =
-        cascade::upsample(&request.positions, request.target, &request.settings, &workers, &Silent).unwrap();
+        cascade::upsample(&request.cloud.positions, request.target, &request.settings, &workers, &Silent)
+            .unwrap();
     let outcome = engine.submit(request).unwrap().wait().unwrap();
     assert_eq!(outcome.positions, direct.positions);
     assert!(outcome.stages.total() > Duration::ZERO);

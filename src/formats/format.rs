@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use super::writer::ply_header;
+use crate::cloud::{Attribute, bytes_a_point};
 
 /// A file format and the choices within it. A reader reports it and a writer takes it, so that a
 /// cloud goes back in the form it came in.
@@ -15,8 +16,12 @@ pub enum Format {
         /// The type of the coordinates.
         scalar: Scalar,
     },
-    /// Text, a point a line: `.xyz`, `.txt`, `.asc`, `.pts`, `.pwn`, `.csv`. Written with spaces.
-    Xyz,
+    /// Text, a point a line: `.xyz`, `.txt`, `.asc`, `.pts`, `.pwn`, `.csv`. Written with spaces,
+    /// the position first.
+    Xyz {
+        /// Whether a first line names the columns.
+        names: bool,
+    },
 }
 
 /// How a PLY file stores numbers.
@@ -47,8 +52,10 @@ pub struct Header {
     pub format: Format,
     /// The number of points that the header claims. A claim: the data may end earlier.
     pub points: Option<u64>,
-    /// What the file holds beside positions, and will be dropped: properties of vertices, and other
-    /// elements by their names (`face`), in the file's order.
+    /// What the file tells of each point beside its position, by name, in the file's order.
+    pub attributes: Vec<String>,
+    /// What the file holds and will be dropped: lists of vertices, and other elements by their names
+    /// (`face`), in the file's order.
     pub dropped_properties: Vec<String>,
 }
 
@@ -63,13 +70,13 @@ pub struct Limits {
 
 impl Format {
     /// The format that a file's extension asks for: `ply` is binary, little-endian, with 32-bit
-    /// floats; `xyz`, `txt`, `asc`, `pts`, `pwn` and `csv` are [`Format::Xyz`]. Case is ignored.
+    /// floats; `xyz`, `txt`, `asc`, `pts`, `pwn` and `csv` are [`Format::Xyz`] without names. Case is ignored.
     #[must_use]
     pub fn from_extension(path: &Path) -> Option<Self> {
         let extension = path.extension()?.to_str()?.to_ascii_lowercase();
         match extension.as_str() {
             "ply" => Some(Self::Ply { encoding: PlyEncoding::BinaryLittleEndian, scalar: Scalar::F32 }),
-            "xyz" | "txt" | "asc" | "pts" | "pwn" | "csv" => Some(Self::Xyz),
+            "xyz" | "txt" | "asc" | "pts" | "pwn" | "csv" => Some(Self::Xyz { names: false }),
             _ => None,
         }
     }
@@ -79,19 +86,19 @@ impl Format {
     pub fn media_type(self) -> &'static str {
         match self {
             Self::Ply { .. } => "application/x-ply",
-            Self::Xyz => "text/plain; charset=utf-8",
+            Self::Xyz { .. } => "text/plain; charset=utf-8",
         }
     }
 
-    /// The exact length in bytes of a file of `points` points as
+    /// The exact length in bytes of a file of `points` points with these attributes as
     /// [`CloudWriter`](super::CloudWriter) writes it, where it depends on nothing else: binary PLY.
     #[must_use]
-    pub fn encoded_len(self, points: u64) -> Option<u64> {
+    pub fn encoded_len(self, points: u64, attributes: &[Attribute]) -> Option<u64> {
         match self {
-            Self::Ply { encoding: PlyEncoding::Ascii, .. } | Self::Xyz => None,
+            Self::Ply { encoding: PlyEncoding::Ascii, .. } | Self::Xyz { .. } => None,
             Self::Ply { encoding, scalar } => {
-                let header = ply_header(encoding, scalar, points).len() as u64;
-                points.checked_mul(3 * scalar.size())?.checked_add(header)
+                let header = ply_header(encoding, scalar, points, attributes).len() as u64;
+                points.checked_mul(3 * scalar.size() + bytes_a_point(attributes))?.checked_add(header)
             }
         }
     }

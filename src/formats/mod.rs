@@ -3,8 +3,8 @@
 //!
 //! | format | clouds | meshes |
 //! |---|---|---|
-//! | PLY (ascii, binary of both byte orders; any scalar types; lists) | read, write | read |
-//! | XYZ and its relatives (text columns) | read, write | |
+//! | PLY (ascii, binary of both byte orders; any scalar types; attributes) | read, write | read |
+//! | XYZ and its relatives (text columns; attributes) | read, write | |
 //! | OFF | | read |
 //!
 //! A reader is opened first and read second: [`CloudReader::open`] parses the header alone, so that
@@ -23,7 +23,7 @@
 //! let mut writer = CloudWriter::new(Vec::new(), format, cloud.positions.len() as u64)?;
 //! writer.write(&cloud.positions)?;
 //! let bytes = writer.finish()?;
-//! assert_eq!(Some(bytes.len() as u64), format.encoded_len(3));
+//! assert_eq!(Some(bytes.len() as u64), format.encoded_len(3, &cloud.attributes));
 //! # Ok::<(), densecloud::formats::FormatError>(())
 //! ```
 

@@ -70,14 +70,19 @@ impl<R: Read> CloudReader<R> {
     /// The data are malformed, end early, go on after what the header counts, pass a limit, or hold no
     /// point.
     pub fn read(mut self) -> Result<Cloud, FormatError> {
-        let positions = match self.body {
-            Body::Ply(ply) => ply::read_cloud(&mut self.source, &ply)?,
+        let (positions, attributes, unreadable) = match self.body {
+            Body::Ply(ply) => {
+                let vertices = ply::read_cloud(&mut self.source, &ply)?;
+                (vertices.positions, vertices.attributes, Vec::new())
+            }
             Body::Xyz(xyz) => xyz.read(&mut self.source, self.limits)?,
         };
         if positions.is_empty() {
             return Err(FormatError::Empty("points"));
         }
-        Ok(Cloud { positions, dropped_properties: self.header.dropped_properties })
+        let mut dropped_properties = self.header.dropped_properties;
+        dropped_properties.extend(unreadable);
+        Ok(Cloud { positions, attributes, dropped_properties })
     }
 }
 

@@ -6,7 +6,7 @@ mod round_trips;
 mod text;
 
 use super::*;
-use crate::cloud::{Cloud, Position};
+use crate::cloud::{Attribute, Cloud, Position, Values};
 
 fn read(bytes: &[u8]) -> Result<Cloud, FormatError> {
     CloudReader::open(bytes, Limits::default())?.read()

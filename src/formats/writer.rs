@@ -2,8 +2,9 @@
 
 use std::io::Write;
 
+use super::ply::kind_name;
 use super::{Format, FormatError, PlyEncoding, Scalar};
-use crate::cloud::Position;
+use crate::cloud::{Attribute, Kind, Position, each_kind};
 
 /// Points encoded between two writes to the sink.
 const BLOCK: usize = 4096;
@@ -16,51 +17,99 @@ const BLOCK: usize = 4096;
 pub struct CloudWriter<W: Write> {
     sink: W,
     format: Format,
+    /// Of each attribute.
+    kinds: Vec<Kind>,
     promised: u64,
     written: u64,
     scratch: Vec<u8>,
 }
 
 impl<W: Write> CloudWriter<W> {
-    /// Writes the header of a cloud of exactly `points` points.
+    /// Writes the header of a cloud of exactly `points` points, of which nothing but positions is told.
     ///
     /// # Errors
     /// The sink fails.
-    pub fn new(mut sink: W, format: Format, points: u64) -> Result<Self, FormatError> {
-        if let Format::Ply { encoding, scalar } = format {
-            sink.write_all(ply_header(encoding, scalar, points).as_bytes())?;
-        }
-        Ok(Self { sink, format, promised: points, written: 0, scratch: Vec::new() })
+    pub fn new(sink: W, format: Format, points: u64) -> Result<Self, FormatError> {
+        Self::with_attributes(sink, format, points, &[])
     }
 
-    /// Appends positions.
+    /// Writes the header of a cloud of exactly `points` points with attributes of these names and types.
+    ///
+    /// # Errors
+    /// The sink fails.
+    pub fn with_attributes(
+        mut sink: W,
+        format: Format,
+        points: u64,
+        attributes: &[Attribute],
+    ) -> Result<Self, FormatError> {
+        match format {
+            Format::Ply { encoding, scalar } => {
+                sink.write_all(ply_header(encoding, scalar, points, attributes).as_bytes())?;
+            }
+            Format::Xyz { names: true } => sink.write_all(names_line(attributes).as_bytes())?,
+            Format::Xyz { names: false } => {}
+        }
+        let kinds = attributes.iter().map(|a| a.values.kind()).collect();
+        Ok(Self { sink, format, kinds, promised: points, written: 0, scratch: Vec::new() })
+    }
+
+    /// Appends points of a cloud without attributes.
+    ///
+    /// # Errors
+    /// As [`write_rows`](Self::write_rows).
+    pub fn write(&mut self, positions: &[Position]) -> Result<(), FormatError> {
+        self.write_rows(positions, &[], 0)
+    }
+
+    /// Appends points: the first of `positions` has the attributes' values at row `from`.
     ///
     /// # Errors
     /// The sink fails, there are more points than promised (then none of these is written), or a
     /// finite coordinate is beyond the range of [`Scalar::F32`].
-    pub fn write(&mut self, positions: &[Position]) -> Result<(), FormatError> {
+    ///
+    /// # Panics
+    /// When the attributes are not of the promised types, or have too few rows.
+    pub fn write_rows(
+        &mut self,
+        positions: &[Position],
+        attributes: &[Attribute],
+        from: usize,
+    ) -> Result<(), FormatError> {
         let written = self.written.saturating_add(positions.len() as u64);
         if written > self.promised {
             return Err(FormatError::WrongCount { promised: self.promised, written });
         }
-        for block in positions.chunks(BLOCK) {
+        assert!(
+            attributes.iter().map(|a| a.values.kind()).eq(self.kinds.iter().copied()),
+            "other attributes than promised"
+        );
+        for (i, block) in positions.chunks(BLOCK).enumerate() {
+            let from = from + i * BLOCK;
             self.scratch.clear();
+            let scratch = &mut self.scratch;
             match self.format {
-                Format::Xyz => write_text(&mut self.scratch, block, Ok)?,
+                Format::Xyz { .. } => write_text(scratch, block, attributes, from, Ok)?,
                 Format::Ply { encoding, scalar } => match (encoding, scalar) {
-                    (PlyEncoding::Ascii, Scalar::F32) => write_text(&mut self.scratch, block, narrow)?,
-                    (PlyEncoding::Ascii, Scalar::F64) => write_text(&mut self.scratch, block, Ok)?,
+                    (PlyEncoding::Ascii, Scalar::F32) => {
+                        write_text(scratch, block, attributes, from, narrow)?
+                    }
+                    (PlyEncoding::Ascii, Scalar::F64) => write_text(scratch, block, attributes, from, Ok)?,
                     (PlyEncoding::BinaryLittleEndian, Scalar::F32) => {
-                        write_binary(&mut self.scratch, block, |v| narrow(v).map(f32::to_le_bytes))?;
+                        write_binary(scratch, block, attributes, from, false, |v| {
+                            narrow(v).map(f32::to_le_bytes)
+                        })?;
                     }
                     (PlyEncoding::BinaryBigEndian, Scalar::F32) => {
-                        write_binary(&mut self.scratch, block, |v| narrow(v).map(f32::to_be_bytes))?;
+                        write_binary(scratch, block, attributes, from, true, |v| {
+                            narrow(v).map(f32::to_be_bytes)
+                        })?;
                     }
                     (PlyEncoding::BinaryLittleEndian, Scalar::F64) => {
-                        write_binary(&mut self.scratch, block, |v| Ok(v.to_le_bytes()))?;
+                        write_binary(scratch, block, attributes, from, false, |v| Ok(v.to_le_bytes()))?;
                     }
                     (PlyEncoding::BinaryBigEndian, Scalar::F64) => {
-                        write_binary(&mut self.scratch, block, |v| Ok(v.to_be_bytes()))?;
+                        write_binary(scratch, block, attributes, from, true, |v| Ok(v.to_be_bytes()))?;
                     }
                 },
             }
@@ -84,7 +133,12 @@ impl<W: Write> CloudWriter<W> {
 }
 
 /// The header that [`CloudWriter`] writes before the points of a PLY file.
-pub(super) fn ply_header(encoding: PlyEncoding, scalar: Scalar, points: u64) -> String {
+pub(super) fn ply_header(
+    encoding: PlyEncoding,
+    scalar: Scalar,
+    points: u64,
+    attributes: &[Attribute],
+) -> String {
     let encoding = match encoding {
         PlyEncoding::Ascii => "ascii",
         PlyEncoding::BinaryLittleEndian => "binary_little_endian",
@@ -94,10 +148,31 @@ pub(super) fn ply_header(encoding: PlyEncoding, scalar: Scalar, points: u64) -> 
         Scalar::F32 => "float",
         Scalar::F64 => "double",
     };
-    format!(
+    let mut header = format!(
         "ply\nformat {encoding} 1.0\ncomment densecloud\nelement vertex {points}\n\
-         property {scalar} x\nproperty {scalar} y\nproperty {scalar} z\nend_header\n"
-    )
+         property {scalar} x\nproperty {scalar} y\nproperty {scalar} z\n"
+    );
+    for attribute in attributes {
+        let kind = kind_name(attribute.values.kind());
+        header += &format!("property {kind} {}\n", one_word(&attribute.name));
+    }
+    header + "end_header\n"
+}
+
+/// The line that names the columns of a text file.
+fn names_line(attributes: &[Attribute]) -> String {
+    let mut line = "x y z".to_owned();
+    for attribute in attributes {
+        line += " ";
+        line += &one_word(&attribute.name);
+    }
+    line + "\n"
+}
+
+/// A name without what would end it in a header or a line of columns.
+fn one_word(name: &str) -> String {
+    let ends = |c: char| c.is_whitespace() || c.is_control() || matches!(c, ',' | ';');
+    name.replace(ends, "_")
 }
 
 fn narrow(value: f64) -> Result<f32, FormatError> {
@@ -113,10 +188,16 @@ fn narrow(value: f64) -> Result<f32, FormatError> {
 fn write_text<T: std::fmt::Debug>(
     scratch: &mut Vec<u8>,
     block: &[Position],
+    attributes: &[Attribute],
+    from: usize,
     convert: impl Fn(f64) -> Result<T, FormatError>,
 ) -> Result<(), FormatError> {
-    for [x, y, z] in block {
-        writeln!(scratch, "{:?} {:?} {:?}", convert(*x)?, convert(*y)?, convert(*z)?)?;
+    for (i, [x, y, z]) in block.iter().enumerate() {
+        write!(scratch, "{:?} {:?} {:?}", convert(*x)?, convert(*y)?, convert(*z)?)?;
+        for attribute in attributes {
+            each_kind!(&attribute.values, column => write!(scratch, " {:?}", column[from + i])?);
+        }
+        scratch.push(b'\n');
     }
     Ok(())
 }
@@ -124,10 +205,36 @@ fn write_text<T: std::fmt::Debug>(
 fn write_binary<const N: usize>(
     scratch: &mut Vec<u8>,
     block: &[Position],
+    attributes: &[Attribute],
+    from: usize,
+    big: bool,
     convert: impl Fn(f64) -> Result<[u8; N], FormatError>,
 ) -> Result<(), FormatError> {
-    for coordinate in block.as_flattened() {
-        scratch.extend_from_slice(&convert(*coordinate)?);
+    if attributes.is_empty() {
+        for coordinate in block.as_flattened() {
+            scratch.extend_from_slice(&convert(*coordinate)?);
+        }
+        return Ok(());
+    }
+    // A column at a time, into rows.
+    let stride = 3 * N + attributes.iter().map(|a| a.values.kind().size()).sum::<usize>();
+    scratch.resize(block.len() * stride, 0);
+    for (row, position) in scratch.chunks_exact_mut(stride).zip(block) {
+        for (bytes, coordinate) in row.chunks_exact_mut(N).zip(position) {
+            bytes.copy_from_slice(&convert(*coordinate)?);
+        }
+    }
+    let mut offset = 3 * N;
+    for attribute in attributes {
+        let size = attribute.values.kind().size();
+        each_kind!(&attribute.values, column => {
+            let numbers = &column[from..from + block.len()];
+            for (row, number) in scratch.chunks_exact_mut(stride).zip(numbers) {
+                let bytes = if big { number.to_be_bytes() } else { number.to_le_bytes() };
+                row[offset..offset + size].copy_from_slice(&bytes);
+            }
+        });
+        offset += size;
     }
     Ok(())
 }

@@ -5,7 +5,7 @@ use std::io::Read;
 use super::source::Source;
 use super::text::{next_field, parse_f64, shown, strip_comment};
 use super::{Format, FormatError, Header, Limits};
-use crate::cloud::Position;
+use crate::cloud::{Attribute, Kind, Position, Values};
 
 /// More columns than any real table of points has; bounds what a hostile line costs.
 const MAX_COLUMNS: usize = 1000;
@@ -15,11 +15,27 @@ const MAX_COLUMNS: usize = 1000;
 /// Columns are separated by white space, a comma or a semicolon; `#` and `//` begin comments; blank
 /// lines are skipped. A first line that does not begin with a number names the columns: if `x`, `y`
 /// and `z` are among the names, these columns are the position, else the first three are. A line with
-/// one whole number before the first point counts the points (`.pts`).
+/// one whole number before the first point counts the points (`.pts`). Every other column of the first
+/// point is an attribute; where nothing names them, three columns of bytes are `red`, `green` and
+/// `blue` (one before them `intensity`), and three that make unit vectors `nx`, `ny` and `nz`.
 pub(super) struct XyzReader {
     columns: [usize; 3],
     claimed: Option<u64>,
     first: Option<Position>,
+    /// By their places in a line.
+    others: Vec<(usize, Column)>,
+    names: Option<Vec<String>>,
+}
+
+/// What a text file holds: positions, attributes, and names of the columns that are no numbers.
+pub(super) type Table = (Vec<Position>, Vec<Attribute>, Vec<String>);
+
+/// A column as it is read: whole numbers for as long as there is nothing else.
+enum Column {
+    Whole(Vec<i64>),
+    Real(Vec<f64>),
+    /// Something in it is no number.
+    Text,
 }
 
 impl XyzReader {
@@ -28,7 +44,8 @@ impl XyzReader {
         source: &mut Source<R>,
         limits: Limits,
     ) -> Result<(Self, Header), FormatError> {
-        let mut reader = Self { columns: [0, 1, 2], claimed: None, first: None };
+        let mut reader =
+            Self { columns: [0, 1, 2], claimed: None, first: None, others: Vec::new(), names: None };
         let mut names: Option<Vec<String>> = None;
         let mut width = 3;
         while let Some(range) = source.next_line()? {
@@ -50,8 +67,12 @@ impl XyzReader {
             } else if let (1, None, Some(count)) = (fields.len(), reader.claimed, as_count(first)) {
                 reader.claimed = Some(count);
             } else {
-                reader.first = Some(reader.row(source, line)?);
                 width = fields.len();
+                reader.others = (0..width)
+                    .filter(|i| !reader.columns.contains(i))
+                    .map(|i| (i, Column::Whole(Vec::new())))
+                    .collect();
+                reader.first = Some(row(reader.columns, &mut reader.others, source, line)?);
                 break;
             }
         }
@@ -60,21 +81,26 @@ impl XyzReader {
         {
             return Err(FormatError::TooManyPoints { points, limit });
         }
-        let names = names.filter(|n| n.len() == width);
-        let dropped_properties = (0..width)
-            .filter(|i| !reader.columns.contains(i))
-            .map(|i| names.as_ref().map_or_else(|| format!("column {}", i + 1), |n| n[i].clone()))
-            .collect();
-        let header = Header { format: Format::Xyz, points: reader.claimed, dropped_properties };
+        reader.names = names.filter(|n| n.len() == width);
+        let header = Header {
+            format: Format::Xyz { names: reader.names.is_some() },
+            points: reader.claimed,
+            attributes: reader.others.iter().map(|(i, _)| reader.name(*i)).collect(),
+            dropped_properties: Vec::new(),
+        };
         Ok((reader, header))
+    }
+
+    fn name(&self, column: usize) -> String {
+        self.names.as_ref().map_or_else(|| format!("column {}", column + 1), |n| n[column].clone())
     }
 
     /// Reads the rest.
     pub(super) fn read<R: Read>(
-        self,
+        mut self,
         source: &mut Source<R>,
         limits: Limits,
-    ) -> Result<Vec<Position>, FormatError> {
+    ) -> Result<Table, FormatError> {
         let mut positions: Vec<Position> = Vec::from_iter(self.first);
         while let Some(range) = source.next_line()? {
             let line = strip_comment(source.bytes(range));
@@ -87,7 +113,7 @@ impl XyzReader {
                 let why = format!("a point after the {claimed} that the file counts");
                 return Err(FormatError::malformed(source.line(), why));
             }
-            positions.push(self.row(source, line)?);
+            positions.push(row(self.columns, &mut self.others, source, line)?);
             if let Some(limit) = limits.max_points
                 && positions.len() as u64 > limit
             {
@@ -100,35 +126,130 @@ impl XyzReader {
             let why = format!("the file counts {claimed} points, and {} are there", positions.len());
             return Err(FormatError::truncated(source.line(), why));
         }
-        Ok(positions)
+        let (mut attributes, mut text) = (Vec::new(), Vec::new());
+        for (i, column) in std::mem::take(&mut self.others) {
+            match column.into_values() {
+                Some(values) => attributes.push(Attribute { name: self.name(i), values }),
+                None => text.push(format!("{} (text)", self.name(i))),
+            }
+        }
+        if self.names.is_none() && text.is_empty() {
+            guess_names(&mut attributes);
+        }
+        Ok((positions, attributes, text))
+    }
+}
+
+/// The position in a line; the other columns take what is theirs.
+fn row<R: Read>(
+    axes: [usize; 3],
+    others: &mut [(usize, Column)],
+    source: &Source<R>,
+    line: &[u8],
+) -> Result<Position, FormatError> {
+    let mut position = [0.0; 3];
+    let mut rest = line;
+    let mut found = 0;
+    let mut others = others.iter_mut().peekable();
+    let mut column = 0;
+    while found < 3 || others.peek().is_some() {
+        let Some(field) = next_field(&mut rest) else {
+            if found == 3 {
+                break;
+            }
+            let why = format!(
+                "{column} column{} where a point needs {}",
+                if column == 1 { "" } else { "s" },
+                axes.iter().max().map_or(3, |c| c + 1)
+            );
+            return Err(FormatError::malformed(source.line(), why));
+        };
+        if let Some(axis) = axes.iter().position(|c| *c == column) {
+            position[axis] = parse_f64(field).ok_or_else(|| {
+                let why = format!("{} is not a number", shown(field));
+                FormatError::malformed(source.line(), why)
+            })?;
+            found += 1;
+        } else if let Some((_, other)) = others.next_if(|(place, _)| *place == column) {
+            other.push(field);
+        }
+        column += 1;
+    }
+    // A shorter line than the first.
+    for (_, other) in others {
+        other.push(b"");
+    }
+    Ok(position)
+}
+
+impl Column {
+    /// Appends a field; an empty one is a NaN.
+    fn push(&mut self, field: &[u8]) {
+        if let Self::Whole(numbers) = self {
+            if let Some(number) = std::str::from_utf8(field).ok().and_then(|f| f.parse().ok()) {
+                numbers.push(number);
+                return;
+            }
+            *self = Self::Real(numbers.iter().map(|&n| n as f64).collect());
+        }
+        if let Self::Real(numbers) = self {
+            match if field.is_empty() { Some(f64::NAN) } else { parse_f64(field) } {
+                Some(number) => numbers.push(number),
+                None => *self = Self::Text,
+            }
+        }
     }
 
-    /// The position in a line.
-    fn row<R: Read>(&self, source: &Source<R>, line: &[u8]) -> Result<Position, FormatError> {
-        let mut position = [0.0; 3];
-        let mut rest = line;
-        let mut found = 0;
-        let mut column = 0;
-        while found < 3 {
-            let Some(field) = next_field(&mut rest) else {
-                let why = format!(
-                    "{column} column{} where a point needs {}",
-                    if column == 1 { "" } else { "s" },
-                    self.columns.iter().max().map_or(3, |c| c + 1)
-                );
-                return Err(FormatError::malformed(source.line(), why));
-            };
-            if let Some(axis) = self.columns.iter().position(|c| *c == column) {
-                position[axis] = parse_f64(field).ok_or_else(|| {
-                    let why = format!("{} is not a number", shown(field));
-                    FormatError::malformed(source.line(), why)
-                })?;
-                found += 1;
+    /// The numbers in the smallest usual type that holds them: bytes, 32-bit and 64-bit integers, doubles.
+    fn into_values(self) -> Option<Values> {
+        let all = |numbers: &[i64], lo: i64, hi: i64| numbers.iter().all(|n| (lo..=hi).contains(n));
+        match self {
+            Self::Whole(n) if all(&n, 0, 255) => Some(Values::U8(n.iter().map(|&v| v as u8).collect())),
+            Self::Whole(n) if all(&n, i32::MIN.into(), i32::MAX.into()) => {
+                Some(Values::I32(n.iter().map(|&v| v as i32).collect()))
             }
-            column += 1;
+            Self::Whole(n) => Some(Values::I64(n)),
+            Self::Real(n) => Some(Values::F64(n)),
+            Self::Text => None,
         }
-        Ok(position)
     }
+}
+
+/// Names for columns that have none, where their values tell what they are.
+fn guess_names(attributes: &mut [Attribute]) {
+    let mut i = 0;
+    while i < attributes.len() {
+        let next = |from: usize| attributes.get(from..from + 3);
+        let (names, from): (&[&str], usize) = if next(i).is_some_and(are_bytes) {
+            (&["red", "green", "blue"], i)
+        } else if next(i).is_some_and(are_unit) {
+            (&["nx", "ny", "nz"], i)
+        } else if i == 0 && next(1).is_some_and(are_bytes) {
+            (&["intensity", "red", "green", "blue"], 0)
+        } else {
+            i += 1;
+            continue;
+        };
+        let taken = names.iter().any(|n| attributes.iter().any(|a| a.name == *n));
+        if !taken {
+            for (attribute, name) in attributes[from..].iter_mut().zip(names) {
+                attribute.name = (*name).to_owned();
+            }
+        }
+        i += names.len();
+    }
+}
+
+fn are_bytes(columns: &[Attribute]) -> bool {
+    columns.iter().all(|c| c.values.kind() == Kind::U8)
+}
+
+/// Whether nearly all rows are vectors of length 1 to the digits that text usually has.
+fn are_unit(columns: &[Attribute]) -> bool {
+    let rows = columns[0].values.len();
+    let length = |row: usize| columns.iter().map(|c| c.values.get(row).powi(2)).sum::<f64>().sqrt();
+    let unit = (0..rows).filter(|&row| (length(row) - 1.0).abs() < 0.01).count();
+    unit * 20 >= rows * 19
 }
 
 fn as_count(field: &[u8]) -> Option<u64> {

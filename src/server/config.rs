@@ -102,7 +102,7 @@ impl Config {
             }
         }
         for (setting, bytes) in
-            [("--max-body-bytes", body_bytes), ("--max-points-out", result_bytes(points_out))]
+            [("--max-body-bytes", body_bytes), ("--max-points-out", result_bytes(points_out, &[]))]
         {
             if bytes > held_bytes {
                 return Err(ConfigError::HeldTooSmall { setting, bytes, held: held_bytes });

@@ -9,15 +9,15 @@ use futures::stream;
 use tokio::task::spawn_blocking;
 
 use super::budget::Held;
-use crate::cloud::Position;
+use crate::cloud::{Attribute, Position, bytes_a_point};
 use crate::formats::{CloudWriter, Format, FormatError};
 
 /// Points encoded at a time: 48 KiB in the commonest format, well under a millisecond of work.
 const BLOCK: usize = 4096;
 
-/// Memory that a result of so many points takes until it is sent.
-pub(super) fn result_bytes(points: u64) -> u64 {
-    points.saturating_mul(size_of::<Position>() as u64)
+/// Memory that a result of so many points with these attributes takes until it is sent.
+pub(super) fn result_bytes(points: u64, attributes: &[Attribute]) -> u64 {
+    points.saturating_mul(size_of::<Position>() as u64 + bytes_a_point(attributes))
 }
 
 /// A result as a response's body.
@@ -25,8 +25,9 @@ pub(super) fn result_bytes(points: u64) -> u64 {
 /// Each block is encoded on a blocking thread when the connection asks for it. So a slow reader
 /// occupies no thread, neither the engine's nor one that encodes; it holds the result's memory,
 /// which `held` accounts for, until it is done or [`super::activity`] ends the connection.
-pub(super) fn body(positions: Vec<Position>, format: Format, held: Held) -> Body {
-    let state = Encoder { positions, format, next: 0, writer: None, sink: Sink::default(), _held: held };
+pub(super) fn body(positions: Vec<Position>, attributes: Vec<Attribute>, format: Format, held: Held) -> Body {
+    let state =
+        Encoder { positions, attributes, format, next: 0, writer: None, sink: Sink::default(), _held: held };
     Body::from_stream(stream::try_unfold(state, |mut state| async move {
         let step = spawn_blocking(move || state.block().map(|block| (block, state)));
         let (block, state) = step.await.map_err(io::Error::other)?.map_err(io::Error::other)?;
@@ -36,6 +37,7 @@ pub(super) fn body(positions: Vec<Position>, format: Format, held: Held) -> Body
 
 struct Encoder {
     positions: Vec<Position>,
+    attributes: Vec<Attribute>,
     format: Format,
     /// First position not yet written.
     next: usize,
@@ -53,11 +55,16 @@ impl Encoder {
             None if self.next == self.positions.len() => return Ok(None),
             None => {
                 let points = self.positions.len() as u64;
-                self.writer.insert(CloudWriter::new(self.sink.clone(), self.format, points)?)
+                self.writer.insert(CloudWriter::with_attributes(
+                    self.sink.clone(),
+                    self.format,
+                    points,
+                    &self.attributes,
+                )?)
             }
         };
         let Range { start, end } = self.next..self.positions.len().min(self.next + BLOCK);
-        writer.write(&self.positions[start..end])?;
+        writer.write_rows(&self.positions[start..end], &self.attributes, start)?;
         self.next = end;
         if end == self.positions.len()
             && let Some(writer) = self.writer.take()
@@ -94,6 +101,7 @@ impl Write for Sink {
 mod tests {
     use super::super::budget::Budget;
     use super::*;
+    use crate::cloud::Values;
     use crate::formats::{PlyEncoding, Scalar};
 
     #[tokio::test]
@@ -101,7 +109,7 @@ mod tests {
         let budget = Budget::new(1 << 30);
         let ply = |encoding, scalar| Format::Ply { encoding, scalar };
         for format in [
-            Format::Xyz,
+            Format::Xyz { names: false },
             ply(PlyEncoding::Ascii, Scalar::F32),
             ply(PlyEncoding::BinaryLittleEndian, Scalar::F32),
             ply(PlyEncoding::BinaryBigEndian, Scalar::F64),
@@ -109,11 +117,16 @@ mod tests {
             for count in [0, 1, BLOCK - 1, BLOCK, BLOCK + 1, 3 * BLOCK] {
                 let positions: Vec<Position> =
                     (0..count).map(|i| [i as f64 * 0.1, 1.0, -(i as f64)]).collect();
-                let mut whole = CloudWriter::new(Vec::new(), format, count as u64).unwrap();
-                whole.write(&positions).unwrap();
+                let red = Values::U16((0..count).map(|i| i as u16).collect());
+                let attributes = vec![Attribute { name: "red".into(), values: red }];
+                let mut whole =
+                    CloudWriter::with_attributes(Vec::new(), format, count as u64, &attributes).unwrap();
+                whole.write_rows(&positions, &attributes, 0).unwrap();
                 let whole = whole.finish().unwrap();
-                let held = budget.hold(result_bytes(count as u64)).unwrap();
-                let sent = axum::body::to_bytes(body(positions, format, held), usize::MAX).await.unwrap();
+                let held = budget.hold(result_bytes(count as u64, &attributes)).unwrap();
+                let sent = axum::body::to_bytes(body(positions, attributes, format, held), usize::MAX)
+                    .await
+                    .unwrap();
                 if count > 0 {
                     assert!(sent == whole, "{format:?}, {count} points");
                 }
@@ -126,7 +139,7 @@ mod tests {
     async fn what_cannot_be_written_breaks_the_body_off() {
         let format = Format::Ply { encoding: PlyEncoding::Ascii, scalar: Scalar::F32 };
         let held = Budget::new(100).hold(1).unwrap();
-        let body = body(vec![[1e300, 0.0, 0.0]], format, held);
+        let body = body(vec![[1e300, 0.0, 0.0]], Vec::new(), format, held);
         assert!(axum::body::to_bytes(body, usize::MAX).await.is_err());
     }
 }

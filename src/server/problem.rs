@@ -68,6 +68,19 @@ pub(super) enum Problem {
         /// The most it may have.
         limit: u64,
     },
+    /// The result alone is more than all results together may hold.
+    #[error(
+        "{points} points with all their attributes take {bytes} bytes, more than {limit}; --max-held-bytes lifts this limit, or \
+         leave attributes out with attributes=NAME:drop, or ask for fewer points"
+    )]
+    ResultTooLarge {
+        /// Points out.
+        points: u64,
+        /// What they would hold.
+        bytes: u64,
+        /// What all results may hold.
+        limit: u64,
+    },
     /// Neither PLY nor XYZ.
     #[error("{0}")]
     UnsupportedFormat(String),
@@ -228,6 +241,12 @@ impl Problem {
                 "The result would have too many points",
                 Some("--max-points-out"),
             ),
+            Self::ResultTooLarge { .. } => (
+                S::PAYLOAD_TOO_LARGE,
+                "result-too-large",
+                "The result would be too large",
+                Some("--max-held-bytes"),
+            ),
             Self::UnsupportedFormat(_) => {
                 (S::UNSUPPORTED_MEDIA_TYPE, "unsupported-format", "Not a PLY or XYZ file", None)
             }
@@ -260,6 +279,7 @@ impl Problem {
             Self::BodyTooLarge { limit }
             | Self::TooManyPointsIn { limit, .. }
             | Self::TooManyPointsOut { limit, .. }
+            | Self::ResultTooLarge { limit, .. }
             | Self::QueueFull { limit, .. }
             | Self::HeldFull { limit, .. } => Some((*limit).into()),
             Self::UploadStalled { limit } | Self::Deadline { limit } => seconds(limit),
@@ -355,6 +375,7 @@ mod tests {
             (Problem::BodyTooLarge { limit: 5 }, 413, "body-too-large"),
             (Problem::TooManyPointsIn { points: 9, limit: 5 }, 413, "too-many-points-in"),
             (Problem::TooManyPointsOut { points: 9, limit: 5 }, 413, "too-many-points-out"),
+            (Problem::ResultTooLarge { points: 9, bytes: 99, limit: 5 }, 413, "result-too-large"),
             (Problem::UnsupportedFormat("x".into()), 415, "unsupported-format"),
             (Problem::UnsupportedEncoding("gzip".into()), 415, "unsupported-encoding"),
             (Problem::Impossible("x".into()), 422, "impossible-cloud"),

@@ -4,6 +4,7 @@ use axum::extract::Query;
 use axum::http::Uri;
 
 use super::problem::Problem;
+use crate::attributes::{Rules, RulesError};
 use crate::cascade::{MAX_RATIO, Target};
 
 /// What a request asks for, in the query of its URI.
@@ -13,6 +14,8 @@ pub(super) struct Parameters {
     pub(super) target: Target,
     /// `seed`; the same default as the command line's when absent.
     pub(super) seed: Option<u64>,
+    /// `attributes`: how new points come by them.
+    pub(super) rules: Rules,
 }
 
 impl Parameters {
@@ -24,16 +27,17 @@ impl Parameters {
     pub(super) fn parse(uri: &Uri) -> Result<Self, Problem> {
         let Query(pairs) = Query::<Vec<(String, String)>>::try_from_uri(uri)
             .map_err(|error| Problem::parameter("query", error.to_string()))?;
-        let (mut ratio, mut points, mut seed) = (None, None, None);
+        let (mut ratio, mut points, mut seed, mut rules) = (None, None, None, None);
         for (name, value) in pairs {
             let twice = match name.as_str() {
                 "ratio" => ratio.replace(parse_ratio(&value)?).is_some(),
                 "points" => points.replace(parse_points(&value)?).is_some(),
                 "seed" => seed.replace(parse_seed(&value)?).is_some(),
+                "attributes" => rules.replace(parse_rules(&value)?).is_some(),
                 _ => {
                     return Err(Problem::parameter(
                         &name,
-                        "unknown; there are ratio, points and seed".into(),
+                        "unknown; there are ratio, points, seed and attributes".into(),
                     ));
                 }
             };
@@ -54,7 +58,7 @@ impl Parameters {
                 ));
             }
         };
-        Ok(Self { target, seed })
+        Ok(Self { target, seed, rules: rules.unwrap_or_default() })
     }
 
     /// Points in the result for so many points in; unlike [`Target::points_out`], also for a claim that
@@ -88,6 +92,10 @@ fn parse_seed(value: &str) -> Result<u64, Problem> {
     })
 }
 
+fn parse_rules(value: &str) -> Result<Rules, Problem> {
+    value.parse().map_err(|why: RulesError| Problem::parameter("attributes", why.to_string()))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -105,7 +113,7 @@ mod tests {
             ("?ratio=%31%36", Target::Ratio(16.0), None),
         ];
         for (query, target, seed) in cases {
-            assert_eq!(parse(query), Ok(Parameters { target, seed }), "{query}");
+            assert_eq!(parse(query), Ok(Parameters { target, seed, rules: Rules::default() }), "{query}");
         }
     }
 
@@ -128,6 +136,8 @@ mod tests {
             ("?ratio=4&seed=-1", "seed"),
             ("?ratio=4&ration=4", "ration"),
             ("?Ratio=4", "Ratio"),
+            ("?ratio=4&attributes=red", "attributes"),
+            ("?ratio=4&attributes=red:drop,red:mean", "attributes"),
         ] {
             match parse(query) {
                 Err(Problem::Parameter { name: found, .. }) => assert_eq!(found, name, "{query}"),
@@ -138,14 +148,14 @@ mod tests {
 
     #[test]
     fn points_out_are_the_cascades_own_and_saturate() {
-        let ratio = |ratio| Parameters { target: Target::Ratio(ratio), seed: None };
+        let ratio = |ratio| Parameters { target: Target::Ratio(ratio), seed: None, rules: Rules::default() };
         assert_eq!(ratio(4.0).points_out(10), 40);
         for points_in in 1..200 {
             let expected = Target::Ratio(1.37).points_out(points_in).expect("a size");
             assert_eq!(ratio(1.37).points_out(points_in), expected);
         }
         assert_eq!(ratio(64.0).points_out(u64::MAX), u64::MAX);
-        let points = Parameters { target: Target::Points(9), seed: None };
+        let points = Parameters { target: Target::Points(9), seed: None, rules: Rules::default() };
         assert_eq!(points.points_out(3), 9);
     }
 }

@@ -66,10 +66,11 @@ async fn answer(
     }
     let points = Points { read: points_in, made: outcome.positions.len() as u64 };
     app.metrics.points(points.read, points.made);
-    let mut response = download::body(outcome.positions, format, held).into_response();
+    let length = format.encoded_len(points.made, &outcome.attributes);
+    let mut response = download::body(outcome.positions, outcome.attributes, format, held).into_response();
     let headers = response.headers_mut();
     headers.insert(header::CONTENT_TYPE, HeaderValue::from_static(format.media_type()));
-    if let Some(length) = format.encoded_len(points.made) {
+    if let Some(length) = length {
         headers.insert(header::CONTENT_LENGTH, length.into());
     }
     headers.insert("densecloud-points-in", points.read.into());
@@ -95,20 +96,30 @@ struct Submitted {
 
 /// Blocking work: parses the body and queues the cloud.
 fn submit(app: &App, received: Received, parameters: &Parameters) -> Result<Submitted, Problem> {
-    let (mut cloud, format) = received.parse(app)?;
+    let (cloud, format) = received.parse(app)?;
     let points_in = cloud.positions.len() as u64;
     app.check_points(points_in, parameters)?;
-    let room = result_bytes(parameters.points_out(points_in));
+    let points = parameters.points_out(points_in);
+    let room = result_bytes(points, &cloud.attributes);
+    let limit = app.config.limits.held_bytes;
+    if room > limit {
+        return Err(Problem::ResultTooLarge { points, bytes: room, limit });
+    }
     let held = app.budget.hold(room).ok_or_else(|| app.held_full())?;
     let mut settings = Settings::default();
     if let Some(seed) = parameters.seed {
         settings.seed = seed;
     }
-    let positions = std::mem::take(&mut cloud.positions);
-    let request = Request { positions, target: parameters.target, settings };
+    let names: Vec<&str> = cloud.attributes.iter().map(|a| a.name.as_str()).collect();
+    if let Some(unknown) = parameters.rules.unknown(&names).next() {
+        let why = format!("the cloud has no attribute {unknown:?}; it has {}", names.join(", "));
+        return Err(Problem::parameter("attributes", why));
+    }
+    let warnings = cloud.warnings();
+    let request = Request { cloud, target: parameters.target, settings, rules: parameters.rules.clone() };
     let job =
         app.engine.submit(request).map_err(|error| Problem::from_engine(error, app.engine.retry_after()))?;
-    Ok(Submitted { job, held, format, points_in, warnings: cloud.warnings() })
+    Ok(Submitted { job, held, format, points_in, warnings })
 }
 
 /// The longest value of a header of ours; names of properties are the client's to choose.

@@ -14,7 +14,7 @@ fn the_answer_is_the_librarys_own_result_in_the_format_of_the_request() {
         (PLY, "ratio=4", Target::Ratio(4.0), 0),
         (ply(PlyEncoding::BinaryBigEndian, Scalar::F64), "ratio=2.5&seed=7", Target::Ratio(2.5), 7),
         (ply(PlyEncoding::Ascii, Scalar::F32), "points=1001", Target::Points(1001), 0),
-        (Format::Xyz, "ratio=16", Target::Ratio(16.0), 0),
+        (Format::Xyz { names: false }, "ratio=16", Target::Ratio(16.0), 0),
     ] {
         let reply = server.post(&format!("/upsample?{query}"), &encode(&cloud(300), format));
         assert_eq!(reply.status, 200, "{query}: {}", reply.text());
@@ -24,7 +24,7 @@ fn the_answer_is_the_librarys_own_result_in_the_format_of_the_request() {
         assert_eq!(reply.header("densecloud-points-in"), Some("300"));
         assert_eq!(reply.header("densecloud-points-out"), Some(expected.len().to_string().as_str()));
         assert_eq!(reply.header("densecloud-warning"), None);
-        let length = format.encoded_len(expected.len() as u64).map(|length| length.to_string());
+        let length = format.encoded_len(expected.len() as u64, &[]).map(|length| length.to_string());
         assert_eq!(reply.header("content-length"), length.as_deref(), "told where it is known");
         let timing = reply.header("server-timing").expect("timing");
         for stage in ["upload", "parse", "queue", "seeds", "patches", "units", "resample"] {
@@ -38,12 +38,12 @@ fn what_was_done_to_the_input_is_told() {
     let server = Server::start(&Scripted::new(), Config::default());
     let mut body = String::from(
         "ply\nformat ascii 1.0\nelement vertex 102\nproperty float x\nproperty float y\n\
-         property float z\nproperty uchar red\nend_header\n",
+         property float z\nproperty uchar red\nproperty list uchar int near\nend_header\n",
     );
     let mut points = cloud(100);
     points.extend([points[0], [f64::NAN, 0.0, 0.0]]);
     for [x, y, z] in points {
-        body += &format!("{x} {y} {z} 255\n");
+        body += &format!("{x} {y} {z} 255 1 0\n");
     }
     let reply = server.post("/upsample?ratio=2", body.as_bytes());
     assert_eq!(reply.status, 200, "{}", reply.text());
@@ -54,9 +54,56 @@ fn what_was_done_to_the_input_is_told() {
         .map(|(_, w)| w.as_str())
         .collect();
     assert_eq!(warnings.len(), 3, "{warnings:?}");
-    assert!(warnings[0].contains("red") && warnings[1].contains("NaN") && warnings[2].contains("coincide"));
+    assert!(warnings[0].contains("near") && warnings[1].contains("NaN") && warnings[2].contains("coincide"));
     assert_eq!(reply.header("densecloud-points-in"), Some("102"));
     assert_eq!(reply.header("densecloud-points-out"), Some("202"), "twice the finite points");
+}
+
+#[test]
+fn attributes_are_carried_over_by_their_rules() {
+    let server = Server::start(&Scripted::new(), Config::default());
+    let mut body = String::from(
+        "ply\nformat ascii 1.0\nelement vertex 100\nproperty float x\nproperty float y\n\
+         property float z\nproperty uchar red\nproperty int label\nend_header\n",
+    );
+    for (i, [x, y, z]) in cloud(100).into_iter().enumerate() {
+        body += &format!("{x} {y} {z} {i} {}\n", 7 * i);
+    }
+    let reply = server.post("/upsample?ratio=2&attributes=red:nearest", body.as_bytes());
+    assert_eq!(reply.status, 200, "{}", reply.text());
+    assert!(reply.header("server-timing").expect("timing").contains("attributes;dur="));
+    let text = reply.text();
+    let (header, rows) = text.split_once("end_header\n").expect("a header");
+    assert!(header.ends_with("property uchar red\nproperty int label\n"), "{header}");
+    let rows: Vec<&str> = rows.lines().collect();
+    assert_eq!(rows.len(), 200);
+    for row in rows {
+        let fields: Vec<&str> = row.split(' ').collect();
+        let [red, label] = [3, 4].map(|i| fields[i].parse::<usize>().expect("a number"));
+        assert_eq!(label, 7 * red, "both from the same nearest point");
+    }
+    let reply = server.post("/upsample?ratio=2&attributes=blue:drop", body.as_bytes());
+    assert_eq!(reply.status, 400);
+    assert!(reply.text().contains("it has red, label"), "{}", reply.text());
+}
+
+#[test]
+fn a_result_that_never_fits_is_refused_for_good() {
+    let mut config = Config::default();
+    config.limits.points_out = 1000;
+    config.limits.body_bytes = 4000;
+    config.limits.held_bytes = 24_000;
+    let server = Server::start(&Scripted::new(), config);
+    let mut body = String::from(
+        "ply\nformat ascii 1.0\nelement vertex 100\nproperty float x\nproperty float y\nproperty float z\n",
+    );
+    body += "property double t\nend_header\n";
+    for [x, y, z] in cloud(100) {
+        body += &format!("{x:.3} {y:.3} {z:.3} 1\n");
+    }
+    let reply = server.post("/upsample?points=1000", body.as_bytes());
+    assert_eq!(reply.status, 413, "{}", reply.text());
+    assert!(reply.text().contains("result-too-large"), "{}", reply.text());
 }
 
 #[test]

@@ -6,6 +6,7 @@ use std::sync::{Arc, Condvar, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+use densecloud::attributes::Rules;
 use densecloud::backend::{Backend, BackendError, Batch, Fake, Output, Session, UnitShape};
 use densecloud::cascade::{Settings, Target};
 use densecloud::cloud::Position;
@@ -335,7 +336,8 @@ pub(crate) fn dense(positions: Vec<Position>, target: Target, seed: u64) -> Vec<
     let sizes = EngineConfig { threads: 1, ..Default::default() };
     let engine = Engine::with_backend(Arc::new(Fake::new()), sizes).unwrap();
     let settings = Settings { seed, ..Default::default() };
-    engine.submit(Request { positions, target, settings }).unwrap().wait().unwrap().positions
+    let request = Request { cloud: positions.into(), target, settings, rules: Rules::default() };
+    engine.submit(request).unwrap().wait().unwrap().positions
 }
 
 pub(crate) fn wait_until(what: &str, mut condition: impl FnMut() -> bool) {

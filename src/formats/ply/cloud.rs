@@ -1,12 +1,12 @@
-//! The positions of a PLY file's vertices.
+//! The positions and attributes of a PLY file's vertices.
 
 use std::io::Read;
 
 use super::super::source::Source;
 use super::super::{Format, FormatError, Header, Limits, PlyEncoding, Scalar};
-use super::header::{Element, Kind, PlyHeader, Shape};
+use super::header::{Element, PlyHeader, Shape};
 use super::rows::{Rows, decode, truncated};
-use crate::cloud::Position;
+use crate::cloud::{Attribute, Kind, Position, Values};
 
 /// What a PLY header says of the cloud, checked against the limits. `source` is where the data begin.
 pub(in super::super) fn describe<R: Read>(
@@ -28,11 +28,15 @@ pub(in super::super) fn describe<R: Read>(
     {
         return Err(FormatError::TooLarge { bytes: header.min_len(), limit });
     }
-    let mut dropped_properties = Vec::new();
+    let (mut attributes, mut dropped_properties) = (Vec::new(), Vec::new());
     for (i, element) in header.elements.iter().enumerate() {
         if i == at {
-            let others = vertex.properties.iter().enumerate().filter(|(i, _)| !axes.contains(i));
-            dropped_properties.extend(others.map(|(_, p)| p.name.clone()));
+            for (_, property) in vertex.properties.iter().enumerate().filter(|(i, _)| !axes.contains(i)) {
+                match property.shape {
+                    Shape::Scalar(_) => attributes.push(property.name.clone()),
+                    Shape::List { .. } => dropped_properties.push(property.name.clone()),
+                }
+            }
         } else {
             dropped_properties.push(element.name.clone());
         }
@@ -42,38 +46,70 @@ pub(in super::super) fn describe<R: Read>(
     });
     let scalar = if narrow { Scalar::F32 } else { Scalar::F64 };
     let format = Format::Ply { encoding: header.encoding, scalar };
-    Ok(Header { format, points: Some(vertex.count), dropped_properties })
+    Ok(Header { format, points: Some(vertex.count), attributes, dropped_properties })
 }
 
-/// Reads the positions and checks that all other elements are there too.
+/// Reads the vertices and checks that all other elements are there too.
 pub(in super::super) fn read_cloud<R: Read>(
     source: &mut Source<R>,
     header: &PlyHeader,
-) -> Result<Vec<Position>, FormatError> {
-    let mut positions = Vec::new();
+) -> Result<Vertices, FormatError> {
+    let mut vertices = Vertices::default();
     for element in &header.elements {
         if element.name == "vertex" {
-            positions = read_positions(source, header.encoding, element)?;
+            vertices = read_vertices(source, header.encoding, element, true)?;
         } else {
             Rows::new(source, header.encoding, element).skip_all()?;
         }
     }
     source.expect_end("the elements that the header counts")?;
-    Ok(positions)
+    Ok(vertices)
 }
 
-/// Reads the element `vertex`.
-pub(super) fn read_positions<R: Read>(
+/// What the element `vertex` holds.
+#[derive(Default)]
+pub(in super::super) struct Vertices {
+    pub(in super::super) positions: Vec<Position>,
+    /// Every scalar property but `x`, `y` and `z`, in the file's order.
+    pub(in super::super) attributes: Vec<Attribute>,
+}
+
+/// Reads the element `vertex`, with its attributes or without.
+pub(super) fn read_vertices<R: Read>(
     source: &mut Source<R>,
     encoding: PlyEncoding,
     vertex: &Element,
-) -> Result<Vec<Position>, FormatError> {
+    keep: bool,
+) -> Result<Vertices, FormatError> {
     let axes = axes(source, vertex)?;
-    match (encoding, vertex.stride()) {
-        (PlyEncoding::BinaryLittleEndian, Some(_)) => read_stride::<R, false>(source, vertex, axes),
-        (PlyEncoding::BinaryBigEndian, Some(_)) => read_stride::<R, true>(source, vertex, axes),
-        _ => read_rows(source, encoding, vertex, axes),
+    let mut columns = Vec::new();
+    let mut offset = 0;
+    for (i, property) in vertex.properties.iter().enumerate() {
+        if let Shape::Scalar(kind) = property.shape {
+            if keep && !axes.contains(&i) {
+                let attribute = Attribute { name: property.name.clone(), values: Values::new(kind) };
+                columns.push(Column { property: i, offset, attribute });
+            }
+            offset += kind.size();
+        }
     }
+    let positions = match (encoding, vertex.stride()) {
+        (PlyEncoding::BinaryLittleEndian, Some(_)) => {
+            read_stride::<R, false>(source, vertex, axes, &mut columns)
+        }
+        (PlyEncoding::BinaryBigEndian, Some(_)) => read_stride::<R, true>(source, vertex, axes, &mut columns),
+        _ => read_rows(source, encoding, vertex, axes, &mut columns),
+    }?;
+    Ok(Vertices { positions, attributes: columns.into_iter().map(|c| c.attribute).collect() })
+}
+
+/// An attribute as it is read.
+struct Column {
+    /// Its place among the properties.
+    property: usize,
+    /// Bytes from the beginning of a binary row, where rows are of equal length.
+    offset: usize,
+    attribute: Attribute,
 }
 
 /// Where `x`, `y` and `z` stand among the properties.
@@ -94,6 +130,7 @@ fn read_stride<R: Read, const BIG: bool>(
     source: &mut Source<R>,
     vertex: &Element,
     axes: [usize; 3],
+    others: &mut [Column],
 ) -> Result<Vec<Position>, FormatError> {
     let mut offsets = Vec::with_capacity(vertex.properties.len());
     let mut stride = 0;
@@ -118,6 +155,9 @@ fn read_stride<R: Read, const BIG: bool>(
         let rows = left.min(source.buffered().len() / stride);
         let block = &source.buffered()[..rows * stride];
         decode_block::<BIG>(block, stride, columns, &mut positions);
+        for column in others.iter_mut() {
+            decode_column::<BIG>(block, stride, column.offset, &mut column.attribute.values);
+        }
         source.consume(rows * stride);
     }
     Ok(positions)
@@ -151,12 +191,29 @@ fn decode_block<const BIG: bool>(
     }
 }
 
+/// Appends one attribute of whole rows.
+fn decode_column<const BIG: bool>(block: &[u8], stride: usize, offset: usize, values: &mut Values) {
+    macro_rules! decode {
+        ($($kind:ident $number:ty),*) => {
+            match values {
+                $(Values::$kind(column) => column.extend(block.chunks_exact(stride).map(|row| {
+                    let mut word = [0; size_of::<$number>()];
+                    word.copy_from_slice(&row[offset..offset + size_of::<$number>()]);
+                    if BIG { <$number>::from_be_bytes(word) } else { <$number>::from_le_bytes(word) }
+                })),)*
+            }
+        };
+    }
+    decode!(I8 i8, U8 u8, I16 i16, U16 u16, I32 i32, U32 u32, I64 i64, U64 u64, F32 f32, F64 f64);
+}
+
 /// Text, and rows with lists in them.
 fn read_rows<R: Read>(
     source: &mut Source<R>,
     encoding: PlyEncoding,
     vertex: &Element,
     axes: [usize; 3],
+    others: &mut [Column],
 ) -> Result<Vec<Position>, FormatError> {
     let columns: Vec<(Shape, Option<usize>)> = (vertex.properties.iter().enumerate())
         .map(|(i, property)| (property.shape, axes.iter().position(|a| *a == i)))
@@ -165,10 +222,14 @@ fn read_rows<R: Read>(
     let mut rows = Rows::new(source, encoding, vertex);
     while rows.begin()? {
         let mut position = [0.0; 3];
-        for (shape, axis) in &columns {
+        let mut kept = others.iter_mut().peekable();
+        for (i, (shape, axis)) in columns.iter().enumerate() {
             match (shape, axis) {
                 (Shape::Scalar(kind), Some(axis)) => position[*axis] = rows.number(*kind)?,
-                _ => rows.skip(*shape)?,
+                _ => match kept.next_if(|column| column.property == i) {
+                    Some(column) => rows.push(&mut column.attribute.values)?,
+                    None => rows.skip(*shape)?,
+                },
             }
         }
         rows.end()?;

@@ -4,6 +4,7 @@ use std::io::Read;
 
 use super::super::source::Source;
 use super::super::{FormatError, PlyEncoding};
+use crate::cloud::Kind;
 
 /// More lines than any real header has; bounds what a hostile one costs.
 const MAX_LINES: usize = 10_000;
@@ -41,21 +42,6 @@ pub(super) enum Shape {
         length: Kind,
         item: Kind,
     },
-}
-
-/// A type of number.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Kind {
-    I8,
-    U8,
-    I16,
-    U16,
-    I32,
-    U32,
-    I64,
-    U64,
-    F32,
-    F64,
 }
 
 /// Parses a header and leaves `source` at the first byte of data.
@@ -121,7 +107,7 @@ fn parse_encoding(name: &str, version: &str) -> Result<PlyEncoding, String> {
 }
 
 fn parse_property(words: &[&str]) -> Result<Property, String> {
-    let kind = |word: &str| Kind::parse(word).ok_or_else(|| format!("unknown PLY type `{word}`"));
+    let kind = |word: &str| parse_kind(word).ok_or_else(|| format!("unknown PLY type `{word}`"));
     match words {
         ["list", length, item, name] => {
             let (length, item) = (kind(length)?, kind(item)?);
@@ -164,37 +150,38 @@ impl Element {
     }
 }
 
-impl Kind {
-    fn parse(word: &str) -> Option<Self> {
-        Some(match word {
-            "char" | "int8" => Self::I8,
-            "uchar" | "uint8" => Self::U8,
-            "short" | "int16" => Self::I16,
-            "ushort" | "uint16" => Self::U16,
-            "int" | "int32" => Self::I32,
-            "uint" | "uint32" => Self::U32,
-            // Not in the specification, but written by some programs.
-            "int64" | "long" => Self::I64,
-            "uint64" | "ulong" => Self::U64,
-            "float" | "float32" => Self::F32,
-            "double" | "float64" => Self::F64,
-            _ => return None,
-        })
-    }
+/// The type of that name in a header.
+fn parse_kind(word: &str) -> Option<Kind> {
+    Some(match word {
+        "char" | "int8" => Kind::I8,
+        "uchar" | "uint8" => Kind::U8,
+        "short" | "int16" => Kind::I16,
+        "ushort" | "uint16" => Kind::U16,
+        "int" | "int32" => Kind::I32,
+        "uint" | "uint32" => Kind::U32,
+        // Not in the specification, but written by some programs.
+        "int64" | "long" => Kind::I64,
+        "uint64" | "ulong" => Kind::U64,
+        "float" | "float32" => Kind::F32,
+        "double" | "float64" => Kind::F64,
+        _ => return None,
+    })
+}
 
-    /// Bytes a number.
-    pub(super) fn size(self) -> usize {
-        match self {
-            Self::I8 | Self::U8 => 1,
-            Self::I16 | Self::U16 => 2,
-            Self::I32 | Self::U32 | Self::F32 => 4,
-            Self::I64 | Self::U64 | Self::F64 => 8,
-        }
-    }
-
-    /// Whether 32-bit floats hold every value of this type.
-    pub(super) fn fits_f32(self) -> bool {
-        matches!(self, Self::I8 | Self::U8 | Self::I16 | Self::U16 | Self::F32)
+/// The name that a written header gives it: the specification's own, and for 64-bit integers, which it
+/// does not have, what most programs read.
+pub(in super::super) fn kind_name(kind: Kind) -> &'static str {
+    match kind {
+        Kind::I8 => "char",
+        Kind::U8 => "uchar",
+        Kind::I16 => "short",
+        Kind::U16 => "ushort",
+        Kind::I32 => "int",
+        Kind::U32 => "uint",
+        Kind::I64 => "int64",
+        Kind::U64 => "uint64",
+        Kind::F32 => "float",
+        Kind::F64 => "double",
     }
 }
 

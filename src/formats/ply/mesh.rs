@@ -5,7 +5,7 @@ use std::io::Read;
 use super::super::mesh::Polygons;
 use super::super::source::Source;
 use super::super::{FormatError, PlyEncoding};
-use super::cloud::read_positions;
+use super::cloud::read_vertices;
 use super::header::{Element, Shape, parse};
 use super::rows::Rows;
 use crate::geometry::Mesh;
@@ -23,7 +23,7 @@ pub(in super::super) fn read_mesh<R: Read>(source: &mut Source<R>) -> Result<Mes
     let mut polygons = Polygons::default();
     for element in &header.elements {
         match element.name.as_str() {
-            "vertex" => vertices = read_positions(source, header.encoding, element)?,
+            "vertex" => vertices = read_vertices(source, header.encoding, element, false)?.positions,
             "face" => read_faces(source, header.encoding, element, &mut polygons)?,
             _ => Rows::new(source, header.encoding, element).skip_all()?,
         }

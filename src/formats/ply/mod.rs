@@ -6,5 +6,5 @@ mod mesh;
 mod rows;
 
 pub(super) use cloud::{describe, read_cloud};
-pub(super) use header::{PlyHeader, parse};
+pub(super) use header::{PlyHeader, kind_name, parse};
 pub(super) use mesh::read_mesh;

@@ -46,7 +46,8 @@ fn mixed_types_and_other_elements_are_read_over() {
         let reader = CloudReader::open(Drip(&bytes), Limits::default()).expect("a header");
         let header = reader.header().clone();
         assert_eq!(header.points, Some(2));
-        assert_eq!(header.dropped_properties, ["camera", "red", "face", "nothing"]);
+        assert_eq!(header.attributes, ["red"]);
+        assert_eq!(header.dropped_properties, ["camera", "face", "nothing"]);
         let encoding = if big { PlyEncoding::BinaryBigEndian } else { PlyEncoding::BinaryLittleEndian };
         assert_eq!(header.format, ply(encoding, Scalar::F64));
         let cloud = reader.read().expect("a cloud");

@@ -5,7 +5,7 @@ use proptest::prelude::*;
 use super::*;
 
 fn formats() -> Vec<Format> {
-    let mut all = vec![Format::Xyz];
+    let mut all = vec![Format::Xyz { names: false }];
     for encoding in ENCODINGS {
         all.push(ply(encoding, Scalar::F32));
         all.push(ply(encoding, Scalar::F64));
@@ -46,7 +46,7 @@ proptest! {
                 }
             }
             let bytes = write(&expected, format);
-            if let Some(length) = format.encoded_len(expected.len() as u64) {
+            if let Some(length) = format.encoded_len(expected.len() as u64, &[]) {
                 prop_assert_eq!(length, bytes.len() as u64);
             }
             let cloud = if drip {
@@ -111,7 +111,7 @@ fn a_coordinate_too_large_for_floats_is_refused() {
 
 #[test]
 fn text_is_short() {
-    assert_eq!(write(&[[0.1, -2.0, 1e-30]], Format::Xyz), b"0.1 -2.0 1e-30\n");
+    assert_eq!(write(&[[0.1, -2.0, 1e-30]], Format::Xyz { names: false }), b"0.1 -2.0 1e-30\n");
     let narrow = ply(PlyEncoding::Ascii, Scalar::F32);
     let text = String::from_utf8(write(&[[f64::from(0.1_f32), 2.0, 3.0]], narrow)).expect("text");
     assert!(text.ends_with("end_header\n0.1 2.0 3.0\n"), "{text}");
@@ -122,8 +122,85 @@ fn extensions_tell_formats() {
     let of = |name: &str| Format::from_extension(std::path::Path::new(name));
     assert_eq!(of("a/b.PLY"), Some(ply(PlyEncoding::BinaryLittleEndian, Scalar::F32)));
     for name in ["a.xyz", "a.txt", "a.asc", "a.pts", "a.pwn", "a.CSV"] {
-        assert_eq!(of(name), Some(Format::Xyz));
+        assert_eq!(of(name), Some(Format::Xyz { names: false }));
     }
     assert_eq!(of("a.obj"), None);
     assert_eq!(of("ply"), None);
+}
+
+fn column(name: &str, values: Values) -> Attribute {
+    Attribute { name: name.to_owned(), values }
+}
+
+/// One column of every type, extremes among its values.
+fn every_kind() -> Vec<Attribute> {
+    vec![
+        column("a", Values::I8(vec![i8::MIN, 0, i8::MAX])),
+        column("red", Values::U8(vec![0, 7, u8::MAX])),
+        column("c", Values::I16(vec![i16::MIN, 0, i16::MAX])),
+        column("intensity", Values::U16(vec![0, 1, u16::MAX])),
+        column("e", Values::I32(vec![i32::MIN, 0, i32::MAX])),
+        column("f", Values::U32(vec![0, 1, u32::MAX])),
+        column("g", Values::I64(vec![i64::MIN, 0, i64::MAX])),
+        column("h", Values::U64(vec![0, 1, u64::MAX])),
+        column("nx", Values::F32(vec![f32::MIN_POSITIVE, -0.1, f32::MAX])),
+        column("time", Values::F64(vec![f64::MIN_POSITIVE, -0.1, f64::INFINITY])),
+    ]
+}
+
+fn write_all(cloud: &Cloud, format: Format) -> Vec<u8> {
+    let points = cloud.positions.len();
+    let mut writer =
+        CloudWriter::with_attributes(Vec::new(), format, points as u64, &cloud.attributes).expect("a header");
+    let (first, rest) = cloud.positions.split_at(1.min(points));
+    writer.write_rows(first, &cloud.attributes, 0).expect("points");
+    writer.write_rows(rest, &cloud.attributes, first.len()).expect("points");
+    writer.finish().expect("the promised count")
+}
+
+#[test]
+fn every_type_of_attribute_comes_back_in_every_encoding_of_ply() {
+    let positions = vec![[1.0, 2.0, 3.0], [4.0, 5.0, 6.0], [7.0, 8.0, 9.0]];
+    let cloud = Cloud { positions, attributes: every_kind(), dropped_properties: Vec::new() };
+    for encoding in ENCODINGS {
+        for scalar in [Scalar::F32, Scalar::F64] {
+            let bytes = write_all(&cloud, ply(encoding, scalar));
+            if let Some(length) = ply(encoding, scalar).encoded_len(3, &cloud.attributes) {
+                assert_eq!(length, bytes.len() as u64);
+            }
+            assert_eq!(read(&bytes).expect("a cloud"), cloud, "{encoding:?}");
+            assert_eq!(CloudReader::open(Drip(&bytes), Limits::default()).unwrap().read().unwrap(), cloud);
+        }
+    }
+}
+
+#[test]
+fn attributes_in_text_come_back_with_their_names() {
+    let positions = vec![[1.0, 2.0, 3.0], [4.0, 5.0, 6.0], [7.0, 8.0, 9.0]];
+    let attributes = vec![
+        column("red", Values::U8(vec![0, 7, 255])),
+        column("a b", Values::I64(vec![i64::MIN, 0, i64::MAX])),
+        column("time", Values::F64(vec![0.1, f64::NAN, 1e300])),
+    ];
+    let cloud = Cloud { positions, attributes, dropped_properties: Vec::new() };
+    let bytes = write_all(&cloud, Format::Xyz { names: true });
+    assert!(bytes.starts_with(b"x y z red a_b time\n1.0 2.0 3.0 0 -9223372036854775808 0.1\n"));
+    let back = read(&bytes).expect("a cloud");
+    assert_eq!(back.positions, cloud.positions);
+    assert_eq!(back.attributes[..1], cloud.attributes[..1]);
+    assert_eq!(back.attributes[1], column("a_b", cloud.attributes[1].values.clone()));
+    assert!(back.attributes[2].values.get(1).is_nan());
+}
+
+#[test]
+fn large_files_with_attributes_are_read_whole() {
+    let positions: Vec<Position> = (0..50_001).map(|i| [f64::from(i), 0.5, -f64::from(i)]).collect();
+    let attributes = vec![
+        column("intensity", Values::U16((0..50_001).map(|i| i as u16).collect())),
+        column("id", Values::U32((0..50_001).collect())),
+    ];
+    let cloud = Cloud { positions, attributes, dropped_properties: Vec::new() };
+    for encoding in ENCODINGS {
+        assert_eq!(read(&write_all(&cloud, ply(encoding, Scalar::F64))).expect("a cloud"), cloud);
+    }
 }

@@ -24,23 +24,49 @@ fn columns_may_be_separated_in_many_ways() {
     ] {
         let (header, positions) = xyz(text);
         assert_eq!(positions, [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]], "{text:?}");
-        assert_eq!(header.format, Format::Xyz);
+        let names = text.starts_with(['x', 'X']);
+        assert_eq!(header.format, Format::Xyz { names });
         assert!(header.dropped_properties.is_empty());
         assert_eq!(header.points, text.starts_with('2').then_some(2));
     }
 }
 
 #[test]
-fn other_columns_are_named_and_dropped() {
+fn other_columns_are_attributes() {
     let (header, positions) = xyz("1 2 3 0.5 wall\n4 5 6 0.5 roof\n");
-    assert_eq!(header.dropped_properties, ["column 4", "column 5"]);
+    assert_eq!(header.attributes, ["column 4", "column 5"]);
     assert_eq!(positions.len(), 2);
-    let (header, positions) = xyz("id;\"X\";\"Y\";\"Z\";class\n7;1;2;3;wall\n");
-    assert_eq!(header.dropped_properties, ["id", "class"]);
-    assert_eq!(positions, [[1.0, 2.0, 3.0]]);
     let (header, positions) = xyz("easting,northing,height,class\n1,2,3,4\n");
-    assert_eq!(header.dropped_properties, ["class"]);
+    assert_eq!(header.attributes, ["class"]);
     assert_eq!(positions, [[1.0, 2.0, 3.0]]);
+    let text = "id;\"X\";\"Y\";\"Z\";class;time\n-7;1;2;3;wall;9007199254740993\n2.5;4;5;6;roof;1\n;7;8;9\n";
+    let cloud = read(text.as_bytes()).expect("a cloud");
+    assert_eq!(cloud.positions[2], [7.0, 8.0, 9.0]);
+    assert_eq!(cloud.dropped_properties, ["class (text)"]);
+    let [id, time] = &cloud.attributes[..] else { panic!("{:?}", cloud.attributes) };
+    assert_eq!((id.name.as_str(), time.name.as_str()), ("id", "time"));
+    // Nothing stands where the third row's values should.
+    for (column, first) in [(id, -7.0), (time, 9_007_199_254_740_992.0)] {
+        assert_eq!(column.values.get(0), first);
+        assert!(column.values.get(2).is_nan());
+    }
+    let whole = read(b"1 2 3 9007199254740993\n4 5 6 -1\n").expect("a cloud");
+    assert_eq!(whole.attributes[0].values, Values::I64(vec![9_007_199_254_740_993, -1]));
+}
+
+#[test]
+fn columns_without_names_are_told_by_their_values() {
+    let names = |text: &str| -> Vec<String> {
+        read(text.as_bytes()).expect("a cloud").attributes.into_iter().map(|a| a.name).collect()
+    };
+    assert_eq!(names("1 2 3 255 0 7\n4 5 6 1 2 3\n"), ["red", "green", "blue"]);
+    assert_eq!(names("1 2 3 -1200 255 0 7\n4 5 6 5 1 2 3\n"), ["intensity", "red", "green", "blue"]);
+    assert_eq!(names("1 2 3 0.6 0.8 0\n4 5 6 0 0 -1\n"), ["nx", "ny", "nz"]);
+    assert_eq!(
+        names("1 2 3 9 8 7 0.6 0.8 0\n4 5 6 1 2 3 0 0 -1\n"),
+        ["red", "green", "blue", "nx", "ny", "nz"]
+    );
+    assert_eq!(names("1 2 3 0.5 300\n4 5 6 0.5 2\n"), ["column 4", "column 5"]);
 }
 
 #[test]
@@ -79,7 +105,8 @@ fn text_ply_is_a_row_a_line() {
     let read_body = |body: &str| {
         let text = format!("{header}{body}").replace('\n', "\r\n");
         let reader = CloudReader::open(text.as_bytes(), Limits::default()).expect("a header");
-        assert_eq!(reader.header().dropped_properties, ["red", "friends"]);
+        assert_eq!(reader.header().attributes, ["red"]);
+        assert_eq!(reader.header().dropped_properties, ["friends"]);
         assert_eq!(reader.header().format, ply(PlyEncoding::Ascii, Scalar::F64));
         reader.read()
     };
