@@ -12,7 +12,7 @@ use super::{CliError, files};
 use crate::attributes::Rules;
 use crate::cascade::{Settings, Target};
 use crate::engine::{EngineError, Job, Outcome, ProgressHandle, Request};
-use crate::formats::{Format, Scalar};
+use crate::formats::{Format, FormatError, Scalar};
 
 /// Make a cloud denser.
 #[derive(Debug, Args)]
@@ -22,7 +22,7 @@ Examples:
   densecloud upsample scan.xyz dense.ply --points 1000000
   cat scan.ply | densecloud upsample - - --ratio 2.5 > dense.ply")]
 pub(super) struct UpsampleArgs {
-    /// The sparse cloud: PLY or XYZ, recognised by its content; `-` for standard input
+    /// The sparse cloud: PLY, LAS, LAZ, PCD or text, recognised by its content; `-` for standard input
     input: PathBuf,
 
     /// The dense cloud: .ply or .xyz (another or no extension: as the input); `-` for standard output
@@ -82,6 +82,9 @@ pub(super) fn run(args: &UpsampleArgs) -> Result<(), CliError> {
     if let Target::Ratio(_) = target {
         target.points_out(1).map_err(|e| CliError::Usage(e.to_string()))?;
     }
+    if matches!(Format::from_extension(&args.output), Some(Format::Las | Format::Pcd)) {
+        return Err(CliError::Usage(FormatError::NotWritten.to_string()));
+    }
     let start = Instant::now();
     let (cloud, header) = files::read_cloud(&args.input)?;
     let format = output_format(&args.output, header.format, !cloud.attributes.is_empty());
@@ -133,12 +136,14 @@ pub(super) fn run(args: &UpsampleArgs) -> Result<(), CliError> {
 fn output_format(path: &Path, input: Format, attributes: bool) -> Format {
     match (Format::from_extension(path), input) {
         // Names of a header would be lost without a line for them.
-        (Some(Format::Xyz { .. }), Format::Ply { .. }) => Format::Xyz { names: attributes },
+        (Some(Format::Xyz { .. }), Format::Ply { .. } | Format::Las | Format::Pcd) => {
+            Format::Xyz { names: attributes }
+        }
         // Text has no width that could be kept; doubles lose nothing of it.
-        (Some(Format::Ply { encoding, .. }), Format::Xyz { .. }) => {
+        (Some(Format::Ply { encoding, .. }), Format::Xyz { .. } | Format::Las | Format::Pcd) => {
             Format::Ply { encoding, scalar: Scalar::F64 }
         }
-        _ => input,
+        _ => input.written(),
     }
 }
 

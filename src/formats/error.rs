@@ -13,7 +13,9 @@ pub enum FormatError {
     #[error(transparent)]
     Io(#[from] io::Error),
     /// The content is in no format that is read here.
-    #[error("unknown format: {found}; convert it to PLY, or to text with a point a line (XYZ)")]
+    #[error(
+        "unknown format: {found}; convert it to PLY, LAS, LAZ or PCD, or to text with a point a line (XYZ)"
+    )]
     Unrecognised {
         /// What the content looks like.
         found: String,
@@ -64,6 +66,11 @@ pub enum FormatError {
         /// Points written.
         written: u64,
     },
+    /// A format that is read alone.
+    #[error(
+        "LAS, LAZ and PCD are read, not written; write PLY (.ply), which holds every attribute, or text (.xyz)"
+    )]
+    NotWritten,
     /// A coordinate is beyond the range of the file's scalar type.
     #[error("the coordinate {0:e} does not fit into 32-bit floats; write 64-bit ones")]
     Unrepresentable(f64),

@@ -22,6 +22,10 @@ pub enum Format {
         /// Whether a first line names the columns.
         names: bool,
     },
+    /// LAS, LAZ and COPC. Read, not written: see [`Format::written`].
+    Las,
+    /// The Point Cloud Library's PCD. Read, not written: see [`Format::written`].
+    Pcd,
 }
 
 /// How a PLY file stores numbers.
@@ -70,14 +74,28 @@ pub struct Limits {
 
 impl Format {
     /// The format that a file's extension asks for: `ply` is binary, little-endian, with 32-bit
-    /// floats; `xyz`, `txt`, `asc`, `pts`, `pwn` and `csv` are [`Format::Xyz`] without names. Case is ignored.
+    /// floats; `xyz`, `txt`, `asc`, `pts`, `pwn` and `csv` are [`Format::Xyz`] without names; `las` and `laz` are [`Format::Las`]. Case is ignored.
     #[must_use]
     pub fn from_extension(path: &Path) -> Option<Self> {
         let extension = path.extension()?.to_str()?.to_ascii_lowercase();
         match extension.as_str() {
             "ply" => Some(Self::Ply { encoding: PlyEncoding::BinaryLittleEndian, scalar: Scalar::F32 }),
             "xyz" | "txt" | "asc" | "pts" | "pwn" | "csv" => Some(Self::Xyz { names: false }),
+            "las" | "laz" => Some(Self::Las),
+            "pcd" => Some(Self::Pcd),
             _ => None,
+        }
+    }
+
+    /// The format that a cloud of this one is written in where nobody says which: itself, or, for what
+    /// is read only, binary PLY in 64-bit floats, which holds all that was read.
+    #[must_use]
+    pub fn written(self) -> Self {
+        match self {
+            Self::Las | Self::Pcd => {
+                Self::Ply { encoding: PlyEncoding::BinaryLittleEndian, scalar: Scalar::F64 }
+            }
+            other => other,
         }
     }
 
@@ -87,6 +105,8 @@ impl Format {
         match self {
             Self::Ply { .. } => "application/x-ply",
             Self::Xyz { .. } => "text/plain; charset=utf-8",
+            Self::Las => "application/vnd.las",
+            Self::Pcd => "application/x-pcd",
         }
     }
 
@@ -95,7 +115,7 @@ impl Format {
     #[must_use]
     pub fn encoded_len(self, points: u64, attributes: &[Attribute]) -> Option<u64> {
         match self {
-            Self::Ply { encoding: PlyEncoding::Ascii, .. } | Self::Xyz { .. } => None,
+            Self::Ply { encoding: PlyEncoding::Ascii, .. } | Self::Xyz { .. } | Self::Las | Self::Pcd => None,
             Self::Ply { encoding, scalar } => {
                 let header = ply_header(encoding, scalar, points, attributes).len() as u64;
                 points.checked_mul(3 * scalar.size() + bytes_a_point(attributes))?.checked_add(header)

@@ -5,6 +5,8 @@
 //! |---|---|---|
 //! | PLY (ascii, binary of both byte orders; any scalar types; attributes) | read, write | read |
 //! | XYZ and its relatives (text columns; attributes) | read, write | |
+//! | LAS, LAZ, COPC (every point format, extra bytes) | read | |
+//! | PCD (ascii, binary, compressed) | read | |
 //! | OFF | | read |
 //!
 //! A reader is opened first and read second: [`CloudReader::open`] parses the header alone, so that
@@ -29,8 +31,10 @@
 
 mod error;
 mod format;
+mod las;
 mod mesh;
 mod off;
+mod pcd;
 mod ply;
 mod reader;
 mod source;

@@ -4,6 +4,8 @@ use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
+use super::las;
+use super::pcd::PcdHeader;
 use super::ply::{self, PlyHeader};
 use super::source::Source;
 use super::text::shown;
@@ -24,6 +26,8 @@ pub struct CloudReader<R> {
 enum Body {
     Ply(PlyHeader),
     Xyz(XyzReader),
+    Las,
+    Pcd(PcdHeader),
 }
 
 impl<R: Read> CloudReader<R> {
@@ -45,8 +49,21 @@ impl<R: Read> CloudReader<R> {
                 let header = ply::describe(&source, &ply, limits)?;
                 Ok(Self { source, header, body: Body::Ply(ply), limits })
             }
-            Sniffed::Text if matches!(expected, Some(Format::Ply { .. })) => {
-                let found = "text that does not begin with the line `ply`".to_owned();
+            Sniffed::Pcd => {
+                let (pcd, header) = PcdHeader::open(&mut source, limits)?;
+                Ok(Self { source, header, body: Body::Pcd(pcd), limits })
+            }
+            Sniffed::Las => {
+                let header = las::open(&mut source, limits)?;
+                Ok(Self { source, header, body: Body::Las, limits })
+            }
+            Sniffed::Text if matches!(expected, Some(Format::Ply { .. } | Format::Las | Format::Pcd)) => {
+                let begins = match expected {
+                    Some(Format::Las) => "`LASF`",
+                    Some(Format::Pcd) => "`# .PCD`",
+                    _ => "the line `ply`",
+                };
+                let found = format!("text that does not begin with {begins}");
                 Err(FormatError::Unrecognised { found })
             }
             Sniffed::Text => {
@@ -76,6 +93,11 @@ impl<R: Read> CloudReader<R> {
                 (vertices.positions, vertices.attributes, Vec::new())
             }
             Body::Xyz(xyz) => xyz.read(&mut self.source, self.limits)?,
+            Body::Pcd(pcd) => {
+                let (positions, attributes) = pcd.read(&mut self.source)?;
+                (positions, attributes, Vec::new())
+            }
+            Body::Las => las::read(&mut self.source)?,
         };
         if positions.is_empty() {
             return Err(FormatError::Empty("points"));
@@ -100,15 +122,15 @@ pub fn read_cloud_file(path: &Path) -> Result<(Cloud, Header), FormatError> {
 
 enum Sniffed {
     Ply,
+    Pcd,
+    Las,
     Text,
     Other(String),
     Nothing,
 }
 
 /// First bytes of formats that people will try, to name them in the refusal.
-const KNOWN: [(&[u8], &str); 12] = [
-    (b"LASF", "a LAS or LAZ file"),
-    (b"# .PCD", "a PCD file"),
+const KNOWN: [(&[u8], &str); 10] = [
     (b"ASTM-E57", "an E57 file"),
     (b"\x93NUMPY", "a NumPy file"),
     (b"\x1F\x8B", "a gzip file"),
@@ -129,6 +151,13 @@ fn sniff(head: &[u8]) -> Sniffed {
         && rest.first().is_none_or(u8::is_ascii_whitespace)
     {
         return Sniffed::Ply;
+    }
+    // The comment is usual; the line after it is not optional.
+    if head.starts_with(b"# .PCD") || head.starts_with(b"VERSION ") {
+        return Sniffed::Pcd;
+    }
+    if head.starts_with(b"LASF") {
+        return Sniffed::Las;
     }
     if let Some((_, name)) = KNOWN.iter().find(|(magic, _)| head.starts_with(magic)) {
         return Sniffed::Other((*name).to_owned());

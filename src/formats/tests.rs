@@ -1,7 +1,9 @@
 //! Whole files in, clouds and meshes out, and back.
 
 mod broken;
+mod las_files;
 mod meshes;
+mod pcd_files;
 mod round_trips;
 mod text;
 

@@ -36,7 +36,7 @@ impl<W: Write> CloudWriter<W> {
     /// Writes the header of a cloud of exactly `points` points with attributes of these names and types.
     ///
     /// # Errors
-    /// The sink fails.
+    /// The sink fails, or the format is not written.
     pub fn with_attributes(
         mut sink: W,
         format: Format,
@@ -49,6 +49,7 @@ impl<W: Write> CloudWriter<W> {
             }
             Format::Xyz { names: true } => sink.write_all(names_line(attributes).as_bytes())?,
             Format::Xyz { names: false } => {}
+            Format::Las | Format::Pcd => return Err(FormatError::NotWritten),
         }
         let kinds = attributes.iter().map(|a| a.values.kind()).collect();
         Ok(Self { sink, format, kinds, promised: points, written: 0, scratch: Vec::new() })
@@ -89,6 +90,7 @@ impl<W: Write> CloudWriter<W> {
             self.scratch.clear();
             let scratch = &mut self.scratch;
             match self.format {
+                Format::Las | Format::Pcd => return Err(FormatError::NotWritten),
                 Format::Xyz { .. } => write_text(scratch, block, attributes, from, Ok)?,
                 Format::Ply { encoding, scalar } => match (encoding, scalar) {
                     (PlyEncoding::Ascii, Scalar::F32) => {

@@ -81,7 +81,7 @@ pub(super) enum Problem {
         /// What all results may hold.
         limit: u64,
     },
-    /// Neither PLY nor XYZ.
+    /// In no format that is read.
     #[error("{0}")]
     UnsupportedFormat(String),
     /// The body is compressed.
@@ -248,7 +248,7 @@ impl Problem {
                 Some("--max-held-bytes"),
             ),
             Self::UnsupportedFormat(_) => {
-                (S::UNSUPPORTED_MEDIA_TYPE, "unsupported-format", "Not a PLY or XYZ file", None)
+                (S::UNSUPPORTED_MEDIA_TYPE, "unsupported-format", "Not a format that is read", None)
             }
             Self::UnsupportedEncoding(_) => {
                 (S::UNSUPPORTED_MEDIA_TYPE, "unsupported-encoding", "The body is compressed", None)

@@ -129,7 +129,7 @@ impl Received {
     /// What [`CloudReader`] gives, as problems.
     pub(super) fn parse(self, app: &App) -> Result<(Cloud, Format), Problem> {
         let reader = CloudReader::open(&self.bytes[..], reader_limits(app))?;
-        let format = reader.header().format;
+        let format = reader.header().format.written();
         Ok((reader.read()?, format))
     }
 }

@@ -1,0 +1,336 @@
+//! PCD, the Point Cloud Library's format: a text header that names fields, then rows, or compressed columns.
+
+use std::io::Read;
+
+use super::source::Source;
+use super::text::{next_token, parse_f32, parse_f64, shown};
+use super::{Format, FormatError, Header, Limits, Place};
+use crate::cloud::{Attribute, Kind, Position, Values};
+
+/// More lines than any header has.
+const MAX_LINES: usize = 100;
+
+/// LZF makes at most 264 bytes of 3; a claim above that is none.
+const MAX_EXPANSION: u64 = 90;
+
+/// Everything before the data.
+pub(super) struct PcdHeader {
+    fields: Vec<Field>,
+    points: u64,
+    data: Data,
+    /// Places of `x`, `y` and `z` among the fields.
+    axes: [usize; 3],
+}
+
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Data {
+    Ascii,
+    Binary,
+    Compressed,
+}
+
+struct Field {
+    name: String,
+    /// None where no number of ours is like it.
+    kind: Option<Kind>,
+    size: usize,
+    count: usize,
+    /// Bytes from the beginning of a row.
+    offset: usize,
+}
+
+impl Field {
+    fn bytes(&self) -> usize {
+        self.size * self.count
+    }
+
+    /// `rgb` and `rgba` hold three or four bytes in one number.
+    fn is_colour(&self) -> bool {
+        matches!(self.name.as_str(), "rgb" | "rgba") && self.size == 4 && self.count == 1
+    }
+
+    fn is_kept(&self) -> bool {
+        self.name != "_" && self.kind.is_some() && self.count == 1
+    }
+}
+
+/// Positions and attributes.
+type Points = (Vec<Position>, Vec<Attribute>);
+
+impl PcdHeader {
+    /// Reads the header and leaves `source` at the first byte of data.
+    pub(super) fn open<R: Read>(
+        source: &mut Source<R>,
+        limits: Limits,
+    ) -> Result<(Self, Header), FormatError> {
+        let mut lines: Vec<(String, Vec<String>)> = Vec::new();
+        for _ in 0..MAX_LINES {
+            let Some(range) = source.next_line()? else { break };
+            let line = String::from_utf8_lossy(source.bytes(range)).into_owned();
+            let line = line.split('#').next().unwrap_or_default();
+            let mut words = line.split_ascii_whitespace().map(str::to_owned);
+            if let Some(key) = words.next() {
+                let last = key == "DATA";
+                lines.push((key, words.collect()));
+                if last {
+                    let header =
+                        Self::parse(&lines).map_err(|why| FormatError::malformed(source.line(), why))?;
+                    if let Some(limit) = limits.max_points
+                        && header.points > limit
+                    {
+                        return Err(FormatError::TooManyPoints { points: header.points, limit });
+                    }
+                    let told = header.told();
+                    return Ok((header, told));
+                }
+            }
+        }
+        Err(FormatError::truncated(source.line(), "the PCD header has no `DATA` line"))
+    }
+
+    fn parse(lines: &[(String, Vec<String>)]) -> Result<Self, String> {
+        let find = |key: &str| lines.iter().find(|(k, _)| k == key).map(|(_, words)| words.as_slice());
+        let need = |key: &str| find(key).ok_or_else(|| format!("the PCD header has no `{key}` line"));
+        let whole =
+            |word: &String| word.parse::<u64>().map_err(|_| format!("`{word}` is not a whole number"));
+        let names = find("FIELDS").or(find("COLUMNS")).ok_or("the PCD header has no `FIELDS` line")?;
+        let (sizes, types) = (need("SIZE")?, need("TYPE")?);
+        let ones = vec!["1".to_owned(); names.len()];
+        let counts = find("COUNT").unwrap_or(&ones);
+        if sizes.len() != names.len() || types.len() != names.len() || counts.len() != names.len() {
+            return Err("FIELDS, SIZE, TYPE and COUNT do not have the same number of words".into());
+        }
+        let mut fields = Vec::with_capacity(names.len());
+        let mut offset = 0;
+        for (i, name) in names.iter().enumerate() {
+            let (size, count) = (whole(&sizes[i])?, whole(&counts[i])?);
+            if !matches!(size, 1 | 2 | 4 | 8) || count > 1 << 20 {
+                return Err(format!("the field `{name}` has {count} numbers of {size} bytes"));
+            }
+            let kind = match (types[i].as_str(), size) {
+                ("I", 1) => Some(Kind::I8),
+                ("I", 2) => Some(Kind::I16),
+                ("I", 4) => Some(Kind::I32),
+                ("I", 8) => Some(Kind::I64),
+                ("U", 1) => Some(Kind::U8),
+                ("U", 2) => Some(Kind::U16),
+                ("U", 4) => Some(Kind::U32),
+                ("U", 8) => Some(Kind::U64),
+                ("F", 4) => Some(Kind::F32),
+                ("F", 8) => Some(Kind::F64),
+                _ => None,
+            };
+            let field =
+                Field { name: name.clone(), kind, size: size as usize, count: count as usize, offset };
+            offset += field.bytes();
+            fields.push(field);
+        }
+        let mut axes = [0; 3];
+        for (axis, name) in axes.iter_mut().zip(["x", "y", "z"]) {
+            let found = fields.iter().position(|f| f.name == name && f.is_kept());
+            *axis = found.ok_or_else(|| format!("the fields have no number `{name}`"))?;
+        }
+        let size = |key: &str| find(key).and_then(<[String]>::first).map(whole).transpose();
+        let points = match (size("POINTS")?, size("WIDTH")?, size("HEIGHT")?) {
+            (Some(points), _, _) => points,
+            (None, Some(width), height) => width.saturating_mul(height.unwrap_or(1)),
+            (None, None, _) => return Err("the PCD header has neither `POINTS` nor `WIDTH`".into()),
+        };
+        let data = match need("DATA")?.first().map(String::as_str) {
+            Some("ascii") => Data::Ascii,
+            Some("binary") => Data::Binary,
+            Some("binary_compressed") => Data::Compressed,
+            other => return Err(format!("`DATA {}` is not known", other.unwrap_or_default())),
+        };
+        Ok(Self { fields, points, data, axes })
+    }
+
+    fn told(&self) -> Header {
+        let others =
+            || self.fields.iter().enumerate().filter(|(i, f)| !self.axes.contains(i) && f.name != "_");
+        Header {
+            format: Format::Pcd,
+            points: Some(self.points),
+            attributes: others().filter(|(_, f)| f.is_kept()).map(|(_, f)| f.name.clone()).collect(),
+            dropped_properties: others().filter(|(_, f)| !f.is_kept()).map(|(_, f)| f.name.clone()).collect(),
+        }
+    }
+
+    /// Reads the points.
+    pub(super) fn read<R: Read>(self, source: &mut Source<R>) -> Result<Points, FormatError> {
+        let mut columns: Vec<Option<Values>> =
+            self.fields.iter().map(|f| f.kind.filter(|_| f.is_kept()).map(Values::new)).collect();
+        match self.data {
+            Data::Ascii => self.read_text(source, &mut columns)?,
+            Data::Binary => self.read_rows(source, &mut columns)?,
+            Data::Compressed => self.read_compressed(source, &mut columns)?,
+        }
+        let axes = self.axes.map(|i| columns[i].take());
+        let [Some(x), Some(y), Some(z)] = axes else {
+            // Two names at one place cannot be: `axes` finds each by its own.
+            return Err(FormatError::malformed(source.offset(), "the fields have no positions"));
+        };
+        let positions = (0..x.len()).map(|i| [x.get(i), y.get(i), z.get(i)]).collect();
+        let mut attributes: Vec<Attribute> = Vec::new();
+        for (field, values) in self.fields.iter().zip(columns) {
+            let Some(values) = values else { continue };
+            if field.is_colour() {
+                let bytes =
+                    |shift: u32| Values::U8(packed(&values).map(|rgb| (rgb >> shift) as u8).collect());
+                let mut names = vec![("red", 16), ("green", 8), ("blue", 0)];
+                if field.name == "rgba" {
+                    names.push(("alpha", 24));
+                }
+                for (name, shift) in names {
+                    attributes.push(Attribute { name: name.to_owned(), values: bytes(shift) });
+                }
+            } else {
+                attributes.push(Attribute { name: field.name.clone(), values });
+            }
+        }
+        Ok((positions, attributes))
+    }
+
+    fn missing(&self, at: Place, found: u64) -> FormatError {
+        FormatError::truncated(at, format!("the header counts {} points, and {found} are there", self.points))
+    }
+
+    fn read_text<R: Read>(
+        &self,
+        source: &mut Source<R>,
+        columns: &mut [Option<Values>],
+    ) -> Result<(), FormatError> {
+        let mut row = 0;
+        while row < self.points {
+            let Some(range) = source.next_line()? else { return Err(self.missing(source.line(), row)) };
+            let mut rest = source.bytes(range);
+            if rest.iter().all(u8::is_ascii_whitespace) {
+                continue;
+            }
+            for (field, column) in self.fields.iter().zip(columns.iter_mut()) {
+                for _ in 0..field.count {
+                    let token = next_token(&mut rest).unwrap_or_default();
+                    let Some(column) = column else { continue };
+                    push_text(column, token, field.is_colour()).ok_or_else(|| {
+                        let why = format!("{} is not a number of the field `{}`", shown(token), field.name);
+                        FormatError::malformed(source.line(), why)
+                    })?;
+                }
+            }
+            row += 1;
+        }
+        source.expect_end("the points that the header counts")
+    }
+
+    fn read_rows<R: Read>(
+        &self,
+        source: &mut Source<R>,
+        columns: &mut [Option<Values>],
+    ) -> Result<(), FormatError> {
+        let stride: usize = self.fields.iter().map(Field::bytes).sum();
+        let mut row = 0;
+        while row < self.points {
+            if !source.ensure(stride)? {
+                return Err(self.missing(source.offset(), row));
+            }
+            let left = usize::try_from(self.points - row).unwrap_or(usize::MAX);
+            let rows = left.min(source.buffered().len() / stride);
+            let block = &source.buffered()[..rows * stride];
+            for (field, column) in self.fields.iter().zip(columns.iter_mut()) {
+                if let Some(column) = column {
+                    push_binary(column, block.chunks_exact(stride).map(|r| &r[field.offset..]));
+                }
+            }
+            source.consume(rows * stride);
+            row += rows as u64;
+        }
+        Ok(())
+    }
+
+    /// One LZF block that holds the fields one after another.
+    fn read_compressed<R: Read>(
+        &self,
+        source: &mut Source<R>,
+        columns: &mut [Option<Values>],
+    ) -> Result<(), FormatError> {
+        let at = source.offset();
+        let Some(sizes) = source.take(8)? else { return Err(self.missing(at, 0)) };
+        let word = |i: usize| u32::from_le_bytes([sizes[i], sizes[i + 1], sizes[i + 2], sizes[i + 3]]);
+        let (packed, unpacked) = (word(0) as usize, word(4) as usize);
+        let stride: usize = self.fields.iter().map(Field::bytes).sum();
+        if self.points.checked_mul(stride as u64) != Some(unpacked as u64) {
+            let why = format!("{unpacked} bytes for {} points of {stride} bytes", self.points);
+            return Err(FormatError::malformed(at, why));
+        }
+        let mut bytes = Vec::new();
+        while bytes.len() < packed && source.ensure(1)? {
+            let part = source.buffered();
+            let part = &part[..part.len().min(packed - bytes.len())];
+            bytes.extend_from_slice(part);
+            let length = part.len();
+            source.consume(length);
+        }
+        if bytes.len() < packed {
+            return Err(self.missing(source.offset(), 0));
+        }
+        if unpacked as u64 > packed as u64 * MAX_EXPANSION {
+            return Err(FormatError::malformed(at, "more bytes than can be compressed into what is there"));
+        }
+        let bytes = lzf::decompress(&bytes, unpacked).ok().filter(|b| b.len() == unpacked);
+        let bytes = bytes.ok_or_else(|| FormatError::malformed(at, "the compressed data are damaged"))?;
+        let mut rest = bytes.as_slice();
+        for (field, column) in self.fields.iter().zip(columns.iter_mut()) {
+            // The product of both is within the length, as checked.
+            let (own, after) = rest.split_at(field.bytes() * self.points as usize);
+            if let Some(column) = column {
+                push_binary(column, own.chunks_exact(field.size));
+            }
+            rest = after;
+        }
+        Ok(())
+    }
+}
+
+/// The bits of a colour, in whatever type it comes.
+fn packed(values: &Values) -> Box<dyn Iterator<Item = u32> + '_> {
+    match values {
+        Values::F32(column) => Box::new(column.iter().map(|v| v.to_bits())),
+        Values::U32(column) => Box::new(column.iter().copied()),
+        other => Box::new((0..other.len()).map(|i| other.get(i) as i64 as u32)),
+    }
+}
+
+/// Appends the numbers at the beginnings of `rows`.
+fn push_binary<'a>(values: &mut Values, rows: impl Iterator<Item = &'a [u8]>) {
+    macro_rules! push {
+        ($($kind:ident $number:ty),*) => {
+            match values {
+                $(Values::$kind(column) => column.extend(rows.map(|row| {
+                    let mut word = [0; size_of::<$number>()];
+                    word.copy_from_slice(&row[..size_of::<$number>()]);
+                    <$number>::from_le_bytes(word)
+                })),)*
+            }
+        };
+    }
+    push!(I8 i8, U8 u8, I16 i16, U16 u16, I32 i32, U32 u32, I64 i64, U64 u64, F32 f32, F64 f64);
+}
+
+/// Appends a number in text; none when it is none. Programs write a colour's bits in either type.
+fn push_text(values: &mut Values, token: &[u8], colour: bool) -> Option<()> {
+    let text = std::str::from_utf8(token).ok()?;
+    macro_rules! push {
+        ($($int:ident),*) => {
+            match values {
+                Values::F32(column) => {
+                    let bits = if colour && !text.contains(['.', 'e', 'E', 'n']) { text.parse().ok() } else { None };
+                    column.push(bits.map(f32::from_bits).or_else(|| parse_f32(token))?);
+                }
+                Values::F64(column) => column.push(parse_f64(token)?),
+                $(Values::$int(column) => column.push(text.parse().ok()?),)*
+            }
+        };
+    }
+    push!(I8, U8, I16, U16, I32, U32, I64, U64);
+    Some(())
+}
