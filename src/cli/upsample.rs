@@ -25,7 +25,8 @@ pub(super) struct UpsampleArgs {
     /// The sparse cloud: PLY, LAS, LAZ, PCD or text, recognised by its content; `-` for standard input
     input: PathBuf,
 
-    /// The dense cloud: .ply or .xyz (another or no extension: as the input); `-` for standard output
+    /// The dense cloud: .ply or .xyz (another or no extension: as the input, or PLY for formats that are only read);
+    /// `-` for standard output
     output: PathBuf,
 
     /// Points out for each point in, any number from 1 to 64 [default: 4]

@@ -167,6 +167,25 @@ impl Values {
         gathered!(I8, U8, I16, U16, I32, U32, I64, U64, F32, F64)
     }
 
+    /// Appends the number at the beginning of each of `rows`, in the byte order that `big` says.
+    ///
+    /// # Panics
+    /// When a row is shorter than a number.
+    pub fn extend_from_bytes<'a>(&mut self, rows: impl Iterator<Item = &'a [u8]>, big: bool) {
+        macro_rules! extend {
+            ($($kind:ident $number:ty),*) => {
+                match self {
+                    $(Self::$kind(column) => column.extend(rows.map(|row| {
+                        let mut word = [0; size_of::<$number>()];
+                        word.copy_from_slice(&row[..size_of::<$number>()]);
+                        if big { <$number>::from_be_bytes(word) } else { <$number>::from_le_bytes(word) }
+                    })),)*
+                }
+            };
+        }
+        extend!(I8 i8, U8 u8, I16 i16, U16 u16, I32 i32, U32 u32, I64 i64, U64 u64, F32 f32, F64 f64);
+    }
+
     /// Doubles as numbers of `kind`: integers are rounded to the nearest and kept within their range;
     /// a NaN becomes 0 there.
     #[must_use]

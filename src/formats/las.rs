@@ -250,19 +250,9 @@ struct Extra {
 }
 
 impl Extra {
+    /// `offset` and size are within the extra bytes of the point format, hence of each point.
     fn push(&mut self, bytes: &[u8]) {
-        let at = |size: usize| bytes.get(self.offset..self.offset + size).unwrap_or_default();
-        macro_rules! push {
-            ($($kind:ident $number:ty),*) => {
-                match &mut self.values {
-                    $(Values::$kind(column) => {
-                        let word = at(size_of::<$number>()).try_into().unwrap_or_default();
-                        column.push(<$number>::from_le_bytes(word));
-                    })*
-                }
-            };
-        }
-        push!(I8 i8, U8 u8, I16 i16, U16 u16, I32 i32, U32 u32, I64 i64, U64 u64, F32 f32, F64 f64);
+        self.values.extend_from_bytes(std::iter::once(&bytes[self.offset..]), false);
     }
 }
 

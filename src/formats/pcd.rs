@@ -3,7 +3,7 @@
 use std::io::Read;
 
 use super::source::Source;
-use super::text::{next_token, parse_f32, parse_f64, shown};
+use super::text::{next_token, push_number, shown};
 use super::{Format, FormatError, Header, Limits, Place};
 use crate::cloud::{Attribute, Kind, Position, Values};
 
@@ -238,7 +238,7 @@ impl PcdHeader {
             let block = &source.buffered()[..rows * stride];
             for (field, column) in self.fields.iter().zip(columns.iter_mut()) {
                 if let Some(column) = column {
-                    push_binary(column, block.chunks_exact(stride).map(|r| &r[field.offset..]));
+                    column.extend_from_bytes(block.chunks_exact(stride).map(|r| &r[field.offset..]), false);
                 }
             }
             source.consume(rows * stride);
@@ -283,7 +283,7 @@ impl PcdHeader {
             // The product of both is within the length, as checked.
             let (own, after) = rest.split_at(field.bytes() * self.points as usize);
             if let Some(column) = column {
-                push_binary(column, own.chunks_exact(field.size));
+                column.extend_from_bytes(own.chunks_exact(field.size), false);
             }
             rest = after;
         }
@@ -300,37 +300,14 @@ fn packed(values: &Values) -> Box<dyn Iterator<Item = u32> + '_> {
     }
 }
 
-/// Appends the numbers at the beginnings of `rows`.
-fn push_binary<'a>(values: &mut Values, rows: impl Iterator<Item = &'a [u8]>) {
-    macro_rules! push {
-        ($($kind:ident $number:ty),*) => {
-            match values {
-                $(Values::$kind(column) => column.extend(rows.map(|row| {
-                    let mut word = [0; size_of::<$number>()];
-                    word.copy_from_slice(&row[..size_of::<$number>()]);
-                    <$number>::from_le_bytes(word)
-                })),)*
-            }
-        };
-    }
-    push!(I8 i8, U8 u8, I16 i16, U16 u16, I32 i32, U32 u32, I64 i64, U64 u64, F32 f32, F64 f64);
-}
-
-/// Appends a number in text; none when it is none. Programs write a colour's bits in either type.
+/// Appends a number in text. A colour's bits may be written as the float or as the whole number that
+/// they are.
 fn push_text(values: &mut Values, token: &[u8], colour: bool) -> Option<()> {
-    let text = std::str::from_utf8(token).ok()?;
-    macro_rules! push {
-        ($($int:ident),*) => {
-            match values {
-                Values::F32(column) => {
-                    let bits = if colour && !text.contains(['.', 'e', 'E', 'n']) { text.parse().ok() } else { None };
-                    column.push(bits.map(f32::from_bits).or_else(|| parse_f32(token))?);
-                }
-                Values::F64(column) => column.push(parse_f64(token)?),
-                $(Values::$int(column) => column.push(text.parse().ok()?),)*
-            }
-        };
+    if let (true, Values::F32(column)) = (colour, &mut *values)
+        && let Some(bits) = std::str::from_utf8(token).ok().and_then(|t| t.parse().ok())
+    {
+        column.push(f32::from_bits(bits));
+        return Some(());
     }
-    push!(I8, U8, I16, U16, I32, U32, I64, U64);
-    Some(())
+    push_number(values, token)
 }

@@ -1,5 +1,7 @@
 //! Numbers and columns in text.
 
+use crate::cloud::Values;
+
 /// Parses a decimal number; `None` when it is none.
 ///
 /// Takes what C libraries print for values that are no numbers, `nan`, `-nan(ind)` and `1.#INF`
@@ -13,6 +15,28 @@ pub(super) fn parse_f64(token: &[u8]) -> Option<f64> {
 pub(super) fn parse_f32(token: &[u8]) -> Option<f32> {
     let text = std::str::from_utf8(token).ok()?;
     text.parse().ok().or_else(|| non_finite(text).map(|v| v as f32))
+}
+
+/// Appends a number to a column, exactly; `None` when the column's type has no such number. Whole
+/// numbers may be written as floats (`255.0`).
+pub(super) fn push_number(values: &mut Values, token: &[u8]) -> Option<()> {
+    macro_rules! push {
+        ($($int:ident $number:ty),*) => {
+            match values {
+                Values::F32(column) => column.push(parse_f32(token)?),
+                Values::F64(column) => column.push(parse_f64(token)?),
+                $(Values::$int(column) => {
+                    let exact = std::str::from_utf8(token).ok()?.parse().ok();
+                    column.push(exact.or_else(|| {
+                        let value = parse_f64(token)?;
+                        ((value as $number) as f64 == value).then_some(value as $number)
+                    })?);
+                })*
+            }
+        };
+    }
+    push!(I8 i8, U8 u8, I16 i16, U16 u16, I32 i32, U32 u32, I64 i64, U64 u64);
+    Some(())
 }
 
 fn non_finite(text: &str) -> Option<f64> {

@@ -75,3 +75,10 @@ def test_nearest_against_brute_force():
     distances, indices = nearest(points, points, 4)
     assert torch.equal(indices[:, 0], torch.arange(50))
     assert torch.allclose(distances, torch.cdist(points, points).sort(1)[0][:, :4].square(), atol=1e-4)
+
+
+def test_both_plain_forms_of_farthest_point_sampling_choose_the_same_points():
+    points = torch.rand(500, 3, generator=torch.Generator().manual_seed(1))
+    plain = farthest_point_sampling(points, 120, "plain")
+    assert len(set(plain.tolist())) == 120
+    assert farthest_point_sampling(points, 120, "tensor").tolist() == plain.tolist()

@@ -156,7 +156,8 @@ fn read_stride<R: Read, const BIG: bool>(
         let block = &source.buffered()[..rows * stride];
         decode_block::<BIG>(block, stride, columns, &mut positions);
         for column in others.iter_mut() {
-            decode_column::<BIG>(block, stride, column.offset, &mut column.attribute.values);
+            let rows = block.chunks_exact(stride).map(|row| &row[column.offset..]);
+            column.attribute.values.extend_from_bytes(rows, BIG);
         }
         source.consume(rows * stride);
     }
@@ -189,22 +190,6 @@ fn decode_block<const BIG: bool>(
         })),
         _ => positions.extend(rows.map(|row| columns.map(|(o, kind)| decode(kind, BIG, &row[o..])))),
     }
-}
-
-/// Appends one attribute of whole rows.
-fn decode_column<const BIG: bool>(block: &[u8], stride: usize, offset: usize, values: &mut Values) {
-    macro_rules! decode {
-        ($($kind:ident $number:ty),*) => {
-            match values {
-                $(Values::$kind(column) => column.extend(block.chunks_exact(stride).map(|row| {
-                    let mut word = [0; size_of::<$number>()];
-                    word.copy_from_slice(&row[offset..offset + size_of::<$number>()]);
-                    if BIG { <$number>::from_be_bytes(word) } else { <$number>::from_le_bytes(word) }
-                })),)*
-            }
-        };
-    }
-    decode!(I8 i8, U8 u8, I16 i16, U16 u16, I32 i32, U32 u32, I64 i64, U64 u64, F32 f32, F64 f64);
 }
 
 /// Text, and rows with lists in them.

@@ -4,9 +4,9 @@ use std::io::Read;
 use std::ops::Range;
 
 use super::super::source::Source;
-use super::super::text::{next_token, parse_f32, parse_f64, shown};
+use super::super::text::{next_token, parse_f32, parse_f64, push_number, shown};
 use super::super::{FormatError, Place, PlyEncoding};
-use super::header::{Element, Shape};
+use super::header::{Element, Shape, kind_name};
 use crate::cloud::{Kind, Values};
 
 /// A cursor over the rows of one element. Binary rows are bytes without gaps; a text row is exactly
@@ -75,42 +75,20 @@ impl<'a, R: Read> Rows<'a, R> {
         Ok(decode(kind, big, bytes))
     }
 
-    /// Appends the next number of the row to a column, exactly.
+    /// Appends the next number of the row to a column, exactly: by way of [`Rows::number`] 64-bit
+    /// integers would be rounded.
     pub(super) fn push(&mut self, values: &mut Values) -> Result<(), FormatError> {
-        macro_rules! push {
-            (int $($int:ident $number:ty),*; float $($float:ident $parse:ident),*) => {
-                match (self.encoding, values) {
-                    // Doubles do not hold every 64-bit integer, hence not by way of `number`.
-                    $((PlyEncoding::Ascii, Values::$int(column)) => {
-                        let range = self.token()?;
-                        let token = self.source.bytes(range);
-                        let exact = std::str::from_utf8(token).ok().and_then(|t| t.parse::<$number>().ok());
-                        let number = exact.or_else(|| {
-                            let value = parse_f64(token)?;
-                            ((value as $number) as f64 == value).then_some(value as $number)
-                        });
-                        column.push(number.ok_or_else(|| {
-                            let why = format!("{} is not a number of type {}", shown(token), stringify!($number));
-                            FormatError::malformed(self.source.line(), why)
-                        })?);
-                    })*
-                    $((PlyEncoding::Ascii, Values::$float(column)) => {
-                        let range = self.token()?;
-                        let token = self.source.bytes(range);
-                        column.push($parse(token).ok_or_else(|| {
-                            FormatError::malformed(self.source.line(), format!("{} is not a number", shown(token)))
-                        })?);
-                    })*
-                    (encoding, values) => {
-                        let kind = values.kind();
-                        let Some(bytes) = self.source.take(kind.size())? else { return Err(self.truncated()) };
-                        append(values, encoding == PlyEncoding::BinaryBigEndian, bytes);
-                    }
-                }
-            };
+        if self.encoding == PlyEncoding::Ascii {
+            let range = self.token()?;
+            let token = self.source.bytes(range);
+            return push_number(values, token).ok_or_else(|| {
+                let why = format!("{} is not a number of type {}", shown(token), kind_name(values.kind()));
+                FormatError::malformed(self.source.line(), why)
+            });
         }
-        push!(int I8 i8, U8 u8, I16 i16, U16 u16, I32 i32, U32 u32, I64 i64, U64 u64;
-              float F32 parse_f32, F64 parse_f64);
+        let big = self.encoding == PlyEncoding::BinaryBigEndian;
+        let Some(bytes) = self.source.take(values.kind().size())? else { return Err(self.truncated()) };
+        values.extend_from_bytes(std::iter::once(bytes), big);
         Ok(())
     }
 
@@ -193,22 +171,6 @@ impl<'a, R: Read> Rows<'a, R> {
 pub(super) fn truncated(at: Place, element: &Element, row: u64) -> FormatError {
     let why = format!("the header counts {} `{}` elements, and {row} are there", element.count, element.name);
     FormatError::truncated(at, why)
-}
-
-/// Appends the number in exactly as many bytes as the column's type has.
-fn append(values: &mut Values, big: bool, bytes: &[u8]) {
-    macro_rules! append {
-        ($($kind:ident $number:ty),*) => {
-            match values {
-                $(Values::$kind(column) => {
-                    let mut word = [0; size_of::<$number>()];
-                    word.copy_from_slice(bytes);
-                    column.push(if big { <$number>::from_be_bytes(word) } else { <$number>::from_le_bytes(word) });
-                })*
-            }
-        };
-    }
-    append!(I8 i8, U8 u8, I16 i16, U16 u16, I32 i32, U32 u32, I64 i64, U64 u64, F32 f32, F64 f64);
 }
 
 /// The number in exactly `kind.size()` bytes.
