@@ -23,8 +23,8 @@ test-python: venv
 lint: venv
 	cargo fmt --check
 	cargo clippy --all-targets -- -D warnings
-	.venv/bin/python -m ruff check training
-	.venv/bin/python -m ruff format --check training
+	.venv/bin/python -m ruff check training tests/interop
+	.venv/bin/python -m ruff format --check training tests/interop
 
 build: onnxruntime
 	cargo build --release

@@ -19,7 +19,7 @@ fn main() {
         ("PLY, binary, float", ply(PlyEncoding::BinaryLittleEndian, Scalar::F32)),
         ("PLY, binary, double", ply(PlyEncoding::BinaryLittleEndian, Scalar::F64)),
         ("PLY, ascii", ply(PlyEncoding::Ascii, Scalar::F64)),
-        ("XYZ", Format::Xyz { names: false }),
+        ("XYZ", Format::TEXT),
     ] {
         let encode = || {
             let mut writer = CloudWriter::new(Vec::new(), format, POINTS as u64).expect("a header");

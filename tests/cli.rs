@@ -118,7 +118,7 @@ fn coloured() -> String {
 fn attributes_are_carried_over_and_what_is_not_is_named() {
     let output = fed(&["upsample", "-", "-", "--ratio", "4"], coloured().as_bytes());
     assert!(output.status.success(), "{}", stderr(&output));
-    assert!(stderr(&output).contains("not carried over to the result: camera"), "{}", stderr(&output));
+    assert!(stderr(&output).contains("not read: camera"), "{}", stderr(&output));
     let text = String::from_utf8(output.stdout).expect("text");
     let (header, rows) = text.split_once("end_header\n").expect("a header");
     assert!(header.ends_with("property float z\nproperty uchar red\nproperty int label\n"), "{header}");

@@ -5,8 +5,8 @@ use std::io::{self, BufReader, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 use super::CliError;
-use crate::cloud::{Attribute, Cloud, Position};
-use crate::formats::{CloudReader, CloudWriter, Format, Header, Limits, read_cloud_file};
+use crate::cloud::{Attribute, Cloud, Origin, Position};
+use crate::formats::{CloudReader, Format, Header, Limits, encode, read_cloud_file};
 
 pub(super) fn is_stream(path: &Path) -> bool {
     path.as_os_str() == "-"
@@ -31,11 +31,10 @@ pub(super) fn write_cloud(
     format: Format,
     positions: &[Position],
     attributes: &[Attribute],
+    origin: &Origin,
 ) -> Result<(), CliError> {
     write(path, |sink| {
-        let mut writer = CloudWriter::with_attributes(sink, format, positions.len() as u64, attributes)?;
-        writer.write_rows(positions, attributes, 0)?;
-        writer.finish()?;
+        encode(sink, format, positions, attributes, origin)?;
         Ok(())
     })
 }
@@ -74,7 +73,7 @@ mod tests {
     fn a_failure_leaves_what_was_there() {
         let dir = tempfile::tempdir().expect("a folder");
         let path = dir.path().join("cloud.xyz");
-        write_cloud(&path, Format::Xyz { names: false }, &[[1.0, 2.0, 3.0]], &[]).expect("a file");
+        write_cloud(&path, Format::TEXT, &[[1.0, 2.0, 3.0]], &[], &Origin::default()).expect("a file");
         let failed = write(&path, |sink| {
             sink.write_all(b"half")?;
             Err("no more".into())

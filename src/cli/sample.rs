@@ -6,7 +6,7 @@ use clap::{Args, ValueEnum};
 
 use super::CliError;
 use super::files;
-use crate::cloud::Position;
+use crate::cloud::{Origin, Position};
 use crate::formats::{Format, read_mesh_file};
 use crate::geometry::{Mesh, Rng, SHAPES, poisson_disk, shape, uniform};
 
@@ -63,7 +63,7 @@ pub(super) fn run(args: &SampleArgs) -> Result<(), CliError> {
         };
         let mut sampled = sampled.map_err(|why| CliError::file(&args.mesh, why))?;
         add_noise(&mut sampled, &mesh, args);
-        files::write_cloud(&path, format, &sampled, &[])?;
+        files::write_cloud(&path, format, &sampled, &[], &Origin::default())?;
     }
     Ok(())
 }
@@ -78,7 +78,7 @@ fn outputs(out: &Path, points: &[usize]) -> Result<Vec<(PathBuf, Format)>, CliEr
     }
     let format = match Format::from_extension(out) {
         Some(format) => format,
-        None if files::is_stream(out) => Format::Xyz { names: false },
+        None if files::is_stream(out) => Format::TEXT,
         None => {
             return Err(CliError::Usage(format!(
                 "{text}: the name must end in .ply or .xyz, which tells the format"

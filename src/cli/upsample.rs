@@ -1,7 +1,7 @@
 //! `densecloud upsample`: a file in, a denser file out.
 
 use std::io::{self, IsTerminal};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use clap::{ArgGroup, Args};
@@ -12,7 +12,7 @@ use super::{CliError, files};
 use crate::attributes::Rules;
 use crate::cascade::{Settings, Target};
 use crate::engine::{EngineError, Job, Outcome, ProgressHandle, Request};
-use crate::formats::{Format, FormatError, Scalar};
+use crate::formats::{Format, FormatError};
 
 /// Make a cloud denser.
 #[derive(Debug, Args)]
@@ -83,12 +83,14 @@ pub(super) fn run(args: &UpsampleArgs) -> Result<(), CliError> {
     if let Target::Ratio(_) = target {
         target.points_out(1).map_err(|e| CliError::Usage(e.to_string()))?;
     }
-    if matches!(Format::from_extension(&args.output), Some(Format::Las | Format::Pcd)) {
+    let wanted = Format::from_extension(&args.output);
+    if matches!(wanted, Some(Format::Las { .. } | Format::Pcd { .. })) {
         return Err(CliError::Usage(FormatError::NotWritten.to_string()));
     }
     let start = Instant::now();
     let (cloud, header) = files::read_cloud(&args.input)?;
-    let format = output_format(&args.output, header.format, !cloud.attributes.is_empty());
+    let format = Format::of_result(wanted, header.format, !cloud.attributes.is_empty());
+    let origin = cloud.origin.clone();
     let note = |text: String| {
         if !args.quiet {
             eprintln!("densecloud: {text}");
@@ -122,7 +124,11 @@ pub(super) fn run(args: &UpsampleArgs) -> Result<(), CliError> {
     for warning in outcome.warnings() {
         note(format!("warning: {warning}"));
     }
-    files::write_cloud(&args.output, format, &outcome.positions, &outcome.attributes)?;
+    let lost = format.cannot_hold(&outcome.attributes, &origin);
+    if !lost.is_empty() {
+        note(format!("warning: the output's format has no place for {}", lost.join(", ")));
+    }
+    files::write_cloud(&args.output, format, &outcome.positions, &outcome.attributes, &origin)?;
     note(format!(
         "{points_in} -> {} points in {:.1} s ({})",
         outcome.positions.len(),
@@ -130,22 +136,6 @@ pub(super) fn run(args: &UpsampleArgs) -> Result<(), CliError> {
         shares(&outcome),
     ));
     Ok(())
-}
-
-/// The kind that the output's extension names, else the input's; where both are the same kind, in
-/// the input's encoding and number type.
-fn output_format(path: &Path, input: Format, attributes: bool) -> Format {
-    match (Format::from_extension(path), input) {
-        // Names of a header would be lost without a line for them.
-        (Some(Format::Xyz { .. }), Format::Ply { .. } | Format::Las | Format::Pcd) => {
-            Format::Xyz { names: attributes }
-        }
-        // Text has no width that could be kept; doubles lose nothing of it.
-        (Some(Format::Ply { encoding, .. }), Format::Xyz { .. } | Format::Las | Format::Pcd) => {
-            Format::Ply { encoding, scalar: Scalar::F64 }
-        }
-        _ => input.written(),
-    }
 }
 
 /// Waits with a progress bar on standard error if that is a terminal.

@@ -3,10 +3,12 @@
 
 mod attribute;
 mod frame;
+mod origin;
 
 pub(crate) use attribute::each_kind;
 pub use attribute::{Attribute, Kind, Values, bytes_a_point};
 pub use frame::{Frame, FrameError};
+pub use origin::{Column, Crs, LasOrigin, Origin, Table};
 
 /// A position in the local [`Frame`]: `f32`, within about [-1, 1] on each axis.
 pub type Point = [f32; 3];
@@ -24,6 +26,8 @@ pub struct Cloud {
     pub attributes: Vec<Attribute>,
     /// Names of what the reader saw and did not keep (for example `face`), in the file's order.
     pub dropped_properties: Vec<String>,
+    /// What else the file tells of the whole.
+    pub origin: Origin,
 }
 
 /// A cloud of nothing but positions.
@@ -40,6 +44,6 @@ impl Cloud {
         if self.dropped_properties.is_empty() {
             return Vec::new();
         }
-        vec![format!("not carried over to the result: {}", self.dropped_properties.join(", "))]
+        vec![format!("not read: {}", self.dropped_properties.join(", "))]
     }
 }

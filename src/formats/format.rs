@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use super::writer::ply_header;
-use crate::cloud::{Attribute, bytes_a_point};
+use crate::cloud::{Attribute, Origin, bytes_a_point};
 
 /// A file format and the choices within it. A reader reports it and a writer takes it, so that a
 /// cloud goes back in the form it came in.
@@ -16,16 +16,35 @@ pub enum Format {
         /// The type of the coordinates.
         scalar: Scalar,
     },
-    /// Text, a point a line: `.xyz`, `.txt`, `.asc`, `.pts`, `.pwn`, `.csv`. Written with spaces,
-    /// the position first.
+    /// Text, a point a line: `.xyz`, `.txt`, `.asc`, `.pts`, `.pwn`, `.csv`. Written with the
+    /// position first.
     Xyz {
         /// Whether a first line names the columns.
         names: bool,
+        /// What stands between two numbers.
+        separator: Separator,
     },
-    /// LAS, LAZ and COPC. Read, not written: see [`Format::written`].
-    Las,
-    /// The Point Cloud Library's PCD. Read, not written: see [`Format::written`].
-    Pcd,
+    /// LAS, and LAZ, which is LAS compressed; COPC is read as the LAZ that it is.
+    Las {
+        /// LAZ.
+        compressed: bool,
+    },
+    /// The Point Cloud Library's PCD.
+    Pcd {
+        /// How numbers are stored.
+        encoding: PcdEncoding,
+    },
+}
+
+/// How a PCD file stores numbers.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum PcdEncoding {
+    /// `DATA ascii`
+    Ascii,
+    /// `DATA binary`
+    Binary,
+    /// `DATA binary_compressed`
+    Compressed,
 }
 
 /// How a PLY file stores numbers.
@@ -37,6 +56,17 @@ pub enum PlyEncoding {
     BinaryLittleEndian,
     /// `format binary_big_endian 1.0`
     BinaryBigEndian,
+}
+
+/// What stands between two columns of text.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Separator {
+    /// A space; read, any white space.
+    Space,
+    /// A comma.
+    Comma,
+    /// A semicolon.
+    Semicolon,
 }
 
 /// The type of written coordinates.
@@ -74,17 +104,29 @@ pub struct Limits {
 
 impl Format {
     /// The format that a file's extension asks for: `ply` is binary, little-endian, with 32-bit
-    /// floats; `xyz`, `txt`, `asc`, `pts`, `pwn` and `csv` are [`Format::Xyz`] without names; `las` and `laz` are [`Format::Las`]. Case is ignored.
+    /// floats; `xyz`, `txt`, `asc`, `pts` and `pwn` are text without names, with spaces, and `csv` with
+    /// commas; `las`, `laz`, and `pcd` (binary) are what they say. Case is ignored.
     #[must_use]
     pub fn from_extension(path: &Path) -> Option<Self> {
         let extension = path.extension()?.to_str()?.to_ascii_lowercase();
         match extension.as_str() {
             "ply" => Some(Self::Ply { encoding: PlyEncoding::BinaryLittleEndian, scalar: Scalar::F32 }),
-            "xyz" | "txt" | "asc" | "pts" | "pwn" | "csv" => Some(Self::Xyz { names: false }),
-            "las" | "laz" => Some(Self::Las),
-            "pcd" => Some(Self::Pcd),
+            "xyz" | "txt" | "asc" | "pts" | "pwn" => Some(Self::TEXT),
+            "csv" => Some(Self::Xyz { names: false, separator: Separator::Comma }),
+            "las" => Some(Self::Las { compressed: false }),
+            "laz" => Some(Self::Las { compressed: true }),
+            "pcd" => Some(Self::Pcd { encoding: PcdEncoding::Binary }),
             _ => None,
         }
+    }
+
+    /// Text without names, with spaces.
+    pub const TEXT: Self = Self::Xyz { names: false, separator: Separator::Space };
+
+    /// Whether both are of one kind, whatever the choices within it.
+    #[must_use]
+    pub fn is_like(self, other: Self) -> bool {
+        std::mem::discriminant(&self) == std::mem::discriminant(&other)
     }
 
     /// The format that a cloud of this one is written in where nobody says which: itself, or, for what
@@ -92,34 +134,100 @@ impl Format {
     #[must_use]
     pub fn written(self) -> Self {
         match self {
-            Self::Las | Self::Pcd => {
+            Self::Las { .. } | Self::Pcd { .. } => {
                 Self::Ply { encoding: PlyEncoding::BinaryLittleEndian, scalar: Scalar::F64 }
             }
             other => other,
         }
     }
 
-    /// The media type for HTTP. PLY has no registered one.
+    /// The format of a result: the kind that is `wanted` (by an extension, say), with the encoding of the
+    /// input where both are of one kind; the [written](Self::written) one of the input where none is.
+    ///
+    /// `names` is whether text of another kind of input should begin with a line of names, without which
+    /// those of its attributes would be lost.
+    #[must_use]
+    pub fn of_result(wanted: Option<Self>, input: Self, names: bool) -> Self {
+        match (wanted, input) {
+            (None, _) => input.written(),
+            (Some(Self::Xyz { separator, .. }), Self::Xyz { names, separator: own }) => {
+                // `.xyz` says nothing of commas; `.csv` does.
+                Self::Xyz { names, separator: if separator == Separator::Space { own } else { separator } }
+            }
+            (Some(Self::Xyz { separator, .. }), _) => Self::Xyz { names, separator },
+            (Some(wanted @ Self::Las { .. }), _) => wanted,
+            (Some(wanted), input) if wanted.is_like(input) => input,
+            // Other formats are wider than 32-bit floats; doubles lose nothing of them.
+            (Some(Self::Ply { encoding, .. }), _) => Self::Ply { encoding, scalar: Scalar::F64 },
+            (Some(wanted), _) => wanted,
+        }
+    }
+
+    /// Whether [`CloudWriter`](super::CloudWriter) writes it in parts; if not, only
+    /// [`encode`](super::encode) writes it, as a whole.
+    #[must_use]
+    pub fn is_streamed(self) -> bool {
+        match self {
+            Self::Ply { .. } | Self::Xyz { .. } => true,
+            Self::Las { .. } | Self::Pcd { .. } => false,
+        }
+    }
+
+    /// What a file of this format has no place for, a phrase each: of the attributes and of what else is
+    /// known of the cloud.
+    #[must_use]
+    pub fn cannot_hold(self, attributes: &[Attribute], origin: &Origin) -> Vec<String> {
+        let _ = attributes;
+        let mut lost = Vec::new();
+        match self {
+            Self::Ply { .. } | Self::Las { .. } | Self::Pcd { .. } => {}
+            Self::Xyz { .. } => {
+                if let Some(crs) = &origin.crs {
+                    lost.push(format!("the coordinate system ({})", crs.name()));
+                }
+            }
+        }
+        if !matches!(self, Self::Ply { .. }) {
+            lost.extend(origin.tables.iter().map(|table| table.name.clone()));
+        }
+        lost
+    }
+
+    /// The media type for HTTP. PLY and PCD have no registered one.
     #[must_use]
     pub fn media_type(self) -> &'static str {
         match self {
             Self::Ply { .. } => "application/x-ply",
+            Self::Xyz { separator: Separator::Comma, .. } => "text/csv; charset=utf-8",
             Self::Xyz { .. } => "text/plain; charset=utf-8",
-            Self::Las => "application/vnd.las",
-            Self::Pcd => "application/x-pcd",
+            Self::Las { compressed: false } => "application/vnd.las",
+            Self::Las { compressed: true } => "application/vnd.laszip",
+            Self::Pcd { .. } => "application/x-pcd",
         }
     }
 
     /// The exact length in bytes of a file of `points` points with these attributes as
     /// [`CloudWriter`](super::CloudWriter) writes it, where it depends on nothing else: binary PLY.
     #[must_use]
-    pub fn encoded_len(self, points: u64, attributes: &[Attribute]) -> Option<u64> {
+    pub fn encoded_len(self, points: u64, attributes: &[Attribute], origin: &Origin) -> Option<u64> {
         match self {
-            Self::Ply { encoding: PlyEncoding::Ascii, .. } | Self::Xyz { .. } | Self::Las | Self::Pcd => None,
+            Self::Ply { encoding: PlyEncoding::Ascii, .. } => None,
             Self::Ply { encoding, scalar } => {
-                let header = ply_header(encoding, scalar, points, attributes).len() as u64;
+                let header = ply_header(encoding, scalar, points, attributes, origin).len() as u64;
                 points.checked_mul(3 * scalar.size() + bytes_a_point(attributes))?.checked_add(header)
             }
+            Self::Xyz { .. } | Self::Las { .. } | Self::Pcd { .. } => None,
+        }
+    }
+}
+
+impl Separator {
+    /// What is written.
+    pub(super) fn as_str(self) -> &'static str {
+        match self {
+            Self::Space => " ",
+            Self::Comma => ",",
+            Self::Semicolon => ";",
         }
     }
 }

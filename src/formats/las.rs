@@ -2,12 +2,13 @@
 
 use std::io::{Cursor, Read};
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Arc;
 
 use las::{PointData, PointDataBuilder, Reader, Vlr};
 
 use super::source::Source;
 use super::{Format, FormatError, Header, Limits, Place};
-use crate::cloud::{Attribute, Kind, Position, Values};
+use crate::cloud::{Attribute, Cloud, Kind, LasOrigin, Origin, Values};
 
 /// The shortest header, that of version 1.0 to 1.2.
 const SHORTEST: usize = 227;
@@ -33,18 +34,16 @@ pub(super) fn open<R: Read>(source: &mut Source<R>, limits: Limits) -> Result<He
         return Err(FormatError::TooManyPoints { points, limit });
     }
     Ok(Header {
-        format: Format::Las,
+        // The top bits of the point format mean compression.
+        format: Format::Las { compressed: head[104] & 0xC0 != 0 },
         points: Some(points),
         attributes: Vec::new(),
         dropped_properties: Vec::new(),
     })
 }
 
-/// Positions, attributes, and names of what is not kept.
-type Parts = (Vec<Position>, Vec<Attribute>, Vec<String>);
-
 /// Reads everything: the whole file is held, since LAZ is not in the order of its bytes.
-pub(super) fn read<R: Read>(source: &mut Source<R>) -> Result<Parts, FormatError> {
+pub(super) fn read<R: Read>(source: &mut Source<R>) -> Result<Cloud, FormatError> {
     let mut bytes = Vec::new();
     while source.ensure(1)? {
         bytes.extend_from_slice(source.buffered());
@@ -95,7 +94,7 @@ fn number<const N: usize>(bytes: &[u8], from: usize) -> u64 {
     u64::from_le_bytes(word)
 }
 
-fn decode(bytes: Vec<u8>, end: Place) -> Result<Parts, FormatError> {
+fn decode(bytes: Vec<u8>, end: Place) -> Result<Cloud, FormatError> {
     let bad = |why: las::Error| match why {
         las::Error::Io(why) if why.kind() == std::io::ErrorKind::UnexpectedEof => {
             FormatError::truncated(end, "the LAS header counts more than is there")
@@ -147,7 +146,11 @@ fn decode(bytes: Vec<u8>, end: Place) -> Result<Parts, FormatError> {
         };
         attributes.push(Attribute { name, values });
     }
-    Ok((positions, attributes, dropped))
+    let transforms = header.transforms();
+    let axes = [transforms.x, transforms.y, transforms.z];
+    let las = LasOrigin { scale: axes.map(|t| t.scale), offset: axes.map(|t| t.offset) };
+    let origin = Origin { las: Some(Arc::new(las)), ..Origin::default() };
+    Ok(Cloud { positions, attributes, dropped_properties: dropped, origin })
 }
 
 /// The columns that point formats have.

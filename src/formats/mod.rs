@@ -17,15 +17,13 @@
 //! Everything here is blocking `std::io`, and nothing here panics on bad input.
 //!
 //! ```
-//! use densecloud::formats::{CloudReader, CloudWriter, Format, Limits, PlyEncoding, Scalar};
+//! use densecloud::formats::{CloudReader, Format, Limits, PlyEncoding, Scalar, encode};
 //!
 //! let text = "0 0 0\n1 0 0\n0 1 0\n";
 //! let cloud = CloudReader::open(text.as_bytes(), Limits::default())?.read()?;
 //! let format = Format::Ply { encoding: PlyEncoding::BinaryLittleEndian, scalar: Scalar::F32 };
-//! let mut writer = CloudWriter::new(Vec::new(), format, cloud.positions.len() as u64)?;
-//! writer.write(&cloud.positions)?;
-//! let bytes = writer.finish()?;
-//! assert_eq!(Some(bytes.len() as u64), format.encoded_len(3, &cloud.attributes));
+//! let bytes = encode(Vec::new(), format, &cloud.positions, &cloud.attributes, &cloud.origin)?;
+//! assert_eq!(Some(bytes.len() as u64), format.encoded_len(3, &cloud.attributes, &cloud.origin));
 //! # Ok::<(), densecloud::formats::FormatError>(())
 //! ```
 
@@ -45,7 +43,7 @@ mod writer;
 mod xyz;
 
 pub use error::{FormatError, Place};
-pub use format::{Format, Header, Limits, PlyEncoding, Scalar};
+pub use format::{Format, Header, Limits, PcdEncoding, PlyEncoding, Scalar, Separator};
 pub use mesh::{read_mesh, read_mesh_file};
 pub use reader::{CloudReader, read_cloud_file};
-pub use writer::CloudWriter;
+pub use writer::{CloudWriter, encode};

@@ -4,8 +4,8 @@ use std::io::Read;
 
 use super::source::Source;
 use super::text::{next_token, push_number, shown};
-use super::{Format, FormatError, Header, Limits, Place};
-use crate::cloud::{Attribute, Kind, Position, Values};
+use super::{Format, FormatError, Header, Limits, PcdEncoding, Place};
+use crate::cloud::{Attribute, Cloud, Kind, Values};
 
 /// More lines than any header has.
 const MAX_LINES: usize = 100;
@@ -17,16 +17,9 @@ const MAX_EXPANSION: u64 = 90;
 pub(super) struct PcdHeader {
     fields: Vec<Field>,
     points: u64,
-    data: Data,
+    data: PcdEncoding,
     /// Places of `x`, `y` and `z` among the fields.
     axes: [usize; 3],
-}
-
-#[derive(Clone, Copy, PartialEq, Eq)]
-enum Data {
-    Ascii,
-    Binary,
-    Compressed,
 }
 
 struct Field {
@@ -53,9 +46,6 @@ impl Field {
         self.name != "_" && self.kind.is_some() && self.count == 1
     }
 }
-
-/// Positions and attributes.
-type Points = (Vec<Position>, Vec<Attribute>);
 
 impl PcdHeader {
     /// Reads the header and leaves `source` at the first byte of data.
@@ -137,9 +127,9 @@ impl PcdHeader {
             (None, None, _) => return Err("the PCD header has neither `POINTS` nor `WIDTH`".into()),
         };
         let data = match need("DATA")?.first().map(String::as_str) {
-            Some("ascii") => Data::Ascii,
-            Some("binary") => Data::Binary,
-            Some("binary_compressed") => Data::Compressed,
+            Some("ascii") => PcdEncoding::Ascii,
+            Some("binary") => PcdEncoding::Binary,
+            Some("binary_compressed") => PcdEncoding::Compressed,
             other => return Err(format!("`DATA {}` is not known", other.unwrap_or_default())),
         };
         Ok(Self { fields, points, data, axes })
@@ -149,7 +139,7 @@ impl PcdHeader {
         let others =
             || self.fields.iter().enumerate().filter(|(i, f)| !self.axes.contains(i) && f.name != "_");
         Header {
-            format: Format::Pcd,
+            format: Format::Pcd { encoding: self.data },
             points: Some(self.points),
             attributes: others().filter(|(_, f)| f.is_kept()).map(|(_, f)| f.name.clone()).collect(),
             dropped_properties: others().filter(|(_, f)| !f.is_kept()).map(|(_, f)| f.name.clone()).collect(),
@@ -157,13 +147,13 @@ impl PcdHeader {
     }
 
     /// Reads the points.
-    pub(super) fn read<R: Read>(self, source: &mut Source<R>) -> Result<Points, FormatError> {
+    pub(super) fn read<R: Read>(self, source: &mut Source<R>) -> Result<Cloud, FormatError> {
         let mut columns: Vec<Option<Values>> =
             self.fields.iter().map(|f| f.kind.filter(|_| f.is_kept()).map(Values::new)).collect();
         match self.data {
-            Data::Ascii => self.read_text(source, &mut columns)?,
-            Data::Binary => self.read_rows(source, &mut columns)?,
-            Data::Compressed => self.read_compressed(source, &mut columns)?,
+            PcdEncoding::Ascii => self.read_text(source, &mut columns)?,
+            PcdEncoding::Binary => self.read_rows(source, &mut columns)?,
+            PcdEncoding::Compressed => self.read_compressed(source, &mut columns)?,
         }
         let axes = self.axes.map(|i| columns[i].take());
         let [Some(x), Some(y), Some(z)] = axes else {
@@ -188,7 +178,7 @@ impl PcdHeader {
                 attributes.push(Attribute { name: field.name.clone(), values });
             }
         }
-        Ok((positions, attributes))
+        Ok(Cloud { positions, attributes, ..Cloud::default() })
     }
 
     fn missing(&self, at: Place, found: u64) -> FormatError {

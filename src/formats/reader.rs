@@ -57,10 +57,12 @@ impl<R: Read> CloudReader<R> {
                 let header = las::open(&mut source, limits)?;
                 Ok(Self { source, header, body: Body::Las, limits })
             }
-            Sniffed::Text if matches!(expected, Some(Format::Ply { .. } | Format::Las | Format::Pcd)) => {
+            Sniffed::Text
+                if matches!(expected, Some(Format::Ply { .. } | Format::Las { .. } | Format::Pcd { .. })) =>
+            {
                 let begins = match expected {
-                    Some(Format::Las) => "`LASF`",
-                    Some(Format::Pcd) => "`# .PCD`",
+                    Some(Format::Las { .. }) => "`LASF`",
+                    Some(Format::Pcd { .. }) => "`# .PCD`",
                     _ => "the line `ply`",
                 };
                 let found = format!("text that does not begin with {begins}");
@@ -87,24 +89,20 @@ impl<R: Read> CloudReader<R> {
     /// The data are malformed, end early, go on after what the header counts, pass a limit, or hold no
     /// point.
     pub fn read(mut self) -> Result<Cloud, FormatError> {
-        let (positions, attributes, unreadable) = match self.body {
-            Body::Ply(ply) => {
-                let vertices = ply::read_cloud(&mut self.source, &ply)?;
-                (vertices.positions, vertices.attributes, Vec::new())
-            }
+        let mut cloud = match self.body {
+            Body::Ply(ply) => ply::read_cloud(&mut self.source, &ply)?,
             Body::Xyz(xyz) => xyz.read(&mut self.source, self.limits)?,
-            Body::Pcd(pcd) => {
-                let (positions, attributes) = pcd.read(&mut self.source)?;
-                (positions, attributes, Vec::new())
-            }
+            Body::Pcd(pcd) => pcd.read(&mut self.source)?,
             Body::Las => las::read(&mut self.source)?,
         };
-        if positions.is_empty() {
+        if cloud.positions.is_empty() {
             return Err(FormatError::Empty("points"));
         }
-        let mut dropped_properties = self.header.dropped_properties;
-        dropped_properties.extend(unreadable);
-        Ok(Cloud { positions, attributes, dropped_properties })
+        let mut dropped = self.header.dropped_properties;
+        dropped.append(&mut cloud.dropped_properties);
+        cloud.dropped_properties = dropped;
+        cloud.origin.sha256 = Some(self.source.sha256()?);
+        Ok(cloud)
     }
 }
 

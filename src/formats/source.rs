@@ -3,6 +3,8 @@
 use std::io::{ErrorKind, Read};
 use std::ops::Range;
 
+use sha2::{Digest, Sha256};
+
 use super::{FormatError, Limits, Place};
 
 /// Bytes of a first read; the buffer grows beyond only for a longer line or row.
@@ -25,6 +27,7 @@ pub(super) struct Source<R> {
     max_bytes: Option<u64>,
     line: u64,
     newline: u8,
+    hash: Sha256,
 }
 
 impl<R: Read> Source<R> {
@@ -40,6 +43,7 @@ impl<R: Read> Source<R> {
             max_bytes: limits.max_bytes,
             line: 0,
             newline: b'\n',
+            hash: Sha256::new(),
         };
         if source.peek(3)? == [0xEF, 0xBB, 0xBF] {
             source.consume(3);
@@ -167,6 +171,16 @@ impl<R: Read> Source<R> {
         }
     }
 
+    /// SHA-256 over all bytes of the data, those after what was consumed among them.
+    pub(super) fn sha256(mut self) -> Result<[u8; 32], FormatError> {
+        loop {
+            self.start = self.end;
+            if self.fill()? == 0 {
+                return Ok(self.hash.finalize().into());
+            }
+        }
+    }
+
     /// Reads once more; 0 at the end of the data.
     fn fill(&mut self) -> Result<usize, FormatError> {
         if self.ended {
@@ -195,6 +209,7 @@ impl<R: Read> Source<R> {
                 other => break other?,
             }
         };
+        self.hash.update(&self.buffer[self.end..self.end + got]);
         self.end += got;
         self.ended = got == 0;
         self.pulled += got as u64;

@@ -3,16 +3,16 @@
 use std::io::Write;
 
 use super::ply::kind_name;
-use super::{Format, FormatError, PlyEncoding, Scalar};
-use crate::cloud::{Attribute, Kind, Position, each_kind};
+use super::{Format, FormatError, PlyEncoding, Scalar, Separator};
+use crate::cloud::{Attribute, Kind, Origin, Position, each_kind};
 
 /// Points encoded between two writes to the sink.
 const BLOCK: usize = 4096;
 
 /// Writes one cloud in parts: the header at once, then any number of [`write`](Self::write)s.
 ///
-/// Text holds the shortest decimals that read back as the same number. The output depends on the
-/// points alone: no date, no version, no name of a machine.
+/// Text holds the shortest decimals that read back as the same number. The output depends on what is
+/// given alone: no date, no name of a machine.
 #[derive(Debug)]
 pub struct CloudWriter<W: Write> {
     sink: W,
@@ -24,32 +24,51 @@ pub struct CloudWriter<W: Write> {
     scratch: Vec<u8>,
 }
 
+/// Writes a whole cloud, in any format. `origin` is what its source told of the whole.
+///
+/// # Errors
+/// The sink fails, or a coordinate is beyond what the format holds.
+pub fn encode<W: Write>(
+    sink: W,
+    format: Format,
+    positions: &[Position],
+    attributes: &[Attribute],
+    origin: &Origin,
+) -> Result<W, FormatError> {
+    let mut writer = CloudWriter::with(sink, format, positions.len() as u64, attributes, origin)?;
+    writer.write_rows(positions, attributes, 0)?;
+    writer.finish()
+}
+
 impl<W: Write> CloudWriter<W> {
     /// Writes the header of a cloud of exactly `points` points, of which nothing but positions is told.
     ///
     /// # Errors
-    /// The sink fails.
+    /// As [`with`](Self::with).
     pub fn new(sink: W, format: Format, points: u64) -> Result<Self, FormatError> {
-        Self::with_attributes(sink, format, points, &[])
+        Self::with(sink, format, points, &[], &Origin::default())
     }
 
     /// Writes the header of a cloud of exactly `points` points with attributes of these names and types.
     ///
     /// # Errors
-    /// The sink fails, or the format is not written.
-    pub fn with_attributes(
+    /// The sink fails, or the format is not [streamed](Format::is_streamed).
+    pub fn with(
         mut sink: W,
         format: Format,
         points: u64,
         attributes: &[Attribute],
+        origin: &Origin,
     ) -> Result<Self, FormatError> {
         match format {
             Format::Ply { encoding, scalar } => {
-                sink.write_all(ply_header(encoding, scalar, points, attributes).as_bytes())?;
+                sink.write_all(ply_header(encoding, scalar, points, attributes, origin).as_bytes())?;
             }
-            Format::Xyz { names: true } => sink.write_all(names_line(attributes).as_bytes())?,
-            Format::Xyz { names: false } => {}
-            Format::Las | Format::Pcd => return Err(FormatError::NotWritten),
+            Format::Xyz { names: true, separator } => {
+                sink.write_all(names_line(attributes, separator).as_bytes())?;
+            }
+            Format::Xyz { names: false, .. } => {}
+            Format::Las { .. } | Format::Pcd { .. } => return Err(FormatError::NotWritten),
         }
         let kinds = attributes.iter().map(|a| a.values.kind()).collect();
         Ok(Self { sink, format, kinds, promised: points, written: 0, scratch: Vec::new() })
@@ -90,13 +109,15 @@ impl<W: Write> CloudWriter<W> {
             self.scratch.clear();
             let scratch = &mut self.scratch;
             match self.format {
-                Format::Las | Format::Pcd => return Err(FormatError::NotWritten),
-                Format::Xyz { .. } => write_text(scratch, block, attributes, from, Ok)?,
+                Format::Las { .. } | Format::Pcd { .. } => return Err(FormatError::NotWritten),
+                Format::Xyz { separator, .. } => write_text(scratch, block, attributes, from, separator, Ok)?,
                 Format::Ply { encoding, scalar } => match (encoding, scalar) {
                     (PlyEncoding::Ascii, Scalar::F32) => {
-                        write_text(scratch, block, attributes, from, narrow)?
+                        write_text(scratch, block, attributes, from, Separator::Space, narrow)?
                     }
-                    (PlyEncoding::Ascii, Scalar::F64) => write_text(scratch, block, attributes, from, Ok)?,
+                    (PlyEncoding::Ascii, Scalar::F64) => {
+                        write_text(scratch, block, attributes, from, Separator::Space, Ok)?;
+                    }
                     (PlyEncoding::BinaryLittleEndian, Scalar::F32) => {
                         write_binary(scratch, block, attributes, from, false, |v| {
                             narrow(v).map(f32::to_le_bytes)
@@ -134,12 +155,16 @@ impl<W: Write> CloudWriter<W> {
     }
 }
 
+/// What begins the comment that tells the coordinate system.
+pub(super) const CRS: &str = "crs: ";
+
 /// The header that [`CloudWriter`] writes before the points of a PLY file.
 pub(super) fn ply_header(
     encoding: PlyEncoding,
     scalar: Scalar,
     points: u64,
     attributes: &[Attribute],
+    origin: &Origin,
 ) -> String {
     let encoding = match encoding {
         PlyEncoding::Ascii => "ascii",
@@ -150,10 +175,17 @@ pub(super) fn ply_header(
         Scalar::F32 => "float",
         Scalar::F64 => "double",
     };
-    let mut header = format!(
-        "ply\nformat {encoding} 1.0\ncomment densecloud\nelement vertex {points}\n\
-         property {scalar} x\nproperty {scalar} y\nproperty {scalar} z\n"
-    );
+    let mut header = format!("ply\nformat {encoding} 1.0\n");
+    if let Some(crs) = &origin.crs {
+        header += &format!("comment {CRS}{crs}\n");
+    }
+    for comment in &origin.comments {
+        header += &format!("comment {comment}\n");
+    }
+    header += &format!("element vertex {points}\n");
+    for axis in ["x", "y", "z"] {
+        header += &format!("property {scalar} {axis}\n");
+    }
     for attribute in attributes {
         let kind = kind_name(attribute.values.kind());
         header += &format!("property {kind} {}\n", one_word(&attribute.name));
@@ -162,13 +194,10 @@ pub(super) fn ply_header(
 }
 
 /// The line that names the columns of a text file.
-fn names_line(attributes: &[Attribute]) -> String {
-    let mut line = "x y z".to_owned();
-    for attribute in attributes {
-        line += " ";
-        line += &one_word(&attribute.name);
-    }
-    line + "\n"
+fn names_line(attributes: &[Attribute], separator: Separator) -> String {
+    let mut names = ["x", "y", "z"].map(str::to_owned).to_vec();
+    names.extend(attributes.iter().map(|a| one_word(&a.name)));
+    names.join(separator.as_str()) + "\n"
 }
 
 /// A name without what would end it in a header or a line of columns.
@@ -192,12 +221,14 @@ fn write_text<T: std::fmt::Debug>(
     block: &[Position],
     attributes: &[Attribute],
     from: usize,
+    separator: Separator,
     convert: impl Fn(f64) -> Result<T, FormatError>,
 ) -> Result<(), FormatError> {
+    let s = separator.as_str();
     for (i, [x, y, z]) in block.iter().enumerate() {
-        write!(scratch, "{:?} {:?} {:?}", convert(*x)?, convert(*y)?, convert(*z)?)?;
+        write!(scratch, "{:?}{s}{:?}{s}{:?}", convert(*x)?, convert(*y)?, convert(*z)?)?;
         for attribute in attributes {
-            each_kind!(&attribute.values, column => write!(scratch, " {:?}", column[from + i])?);
+            each_kind!(&attribute.values, column => write!(scratch, "{s}{:?}", column[from + i])?);
         }
         scratch.push(b'\n');
     }

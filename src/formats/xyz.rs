@@ -4,8 +4,8 @@ use std::io::Read;
 
 use super::source::Source;
 use super::text::{next_field, parse_f64, shown, strip_comment};
-use super::{Format, FormatError, Header, Limits};
-use crate::cloud::{Attribute, Kind, Position, Values};
+use super::{Format, FormatError, Header, Limits, Separator};
+use crate::cloud::{Attribute, Cloud, Kind, Origin, Position, Values};
 
 /// More columns than any real table of points has; bounds what a hostile line costs.
 const MAX_COLUMNS: usize = 1000;
@@ -27,9 +27,6 @@ pub(super) struct XyzReader {
     names: Option<Vec<String>>,
 }
 
-/// What a text file holds: positions, attributes, and names of the columns that are no numbers.
-pub(super) type Table = (Vec<Position>, Vec<Attribute>, Vec<String>);
-
 /// A column as it is read: whole numbers for as long as there is nothing else.
 enum Column {
     Whole(Vec<i64>),
@@ -48,6 +45,7 @@ impl XyzReader {
             Self { columns: [0, 1, 2], claimed: None, first: None, others: Vec::new(), names: None };
         let mut names: Option<Vec<String>> = None;
         let mut width = 3;
+        let mut separator = Separator::Space;
         while let Some(range) = source.next_line()? {
             let line = strip_comment(source.bytes(range));
             let mut rest = line;
@@ -68,6 +66,11 @@ impl XyzReader {
                 reader.claimed = Some(count);
             } else {
                 width = fields.len();
+                separator = match line {
+                    _ if line.contains(&b',') => Separator::Comma,
+                    _ if line.contains(&b';') => Separator::Semicolon,
+                    _ => Separator::Space,
+                };
                 reader.others = (0..width)
                     .filter(|i| !reader.columns.contains(i))
                     .map(|i| (i, Column::Whole(Vec::new())))
@@ -83,7 +86,7 @@ impl XyzReader {
         }
         reader.names = names.filter(|n| n.len() == width);
         let header = Header {
-            format: Format::Xyz { names: reader.names.is_some() },
+            format: Format::Xyz { names: reader.names.is_some(), separator },
             points: reader.claimed,
             attributes: reader.others.iter().map(|(i, _)| reader.name(*i)).collect(),
             dropped_properties: Vec::new(),
@@ -100,7 +103,7 @@ impl XyzReader {
         mut self,
         source: &mut Source<R>,
         limits: Limits,
-    ) -> Result<Table, FormatError> {
+    ) -> Result<Cloud, FormatError> {
         let mut positions: Vec<Position> = Vec::from_iter(self.first);
         while let Some(range) = source.next_line()? {
             let line = strip_comment(source.bytes(range));
@@ -136,7 +139,7 @@ impl XyzReader {
         if self.names.is_none() && text.is_empty() {
             guess_names(&mut attributes);
         }
-        Ok((positions, attributes, text))
+        Ok(Cloud { positions, attributes, dropped_properties: text, origin: Origin::default() })
     }
 }
 

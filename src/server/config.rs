@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use super::download::result_bytes;
+use crate::formats::Format;
 
 /// All settings of a server. [`Config::default`] suits one machine behind a reverse proxy.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -101,9 +102,10 @@ impl Config {
                 return Err(ConfigError::Zero { setting });
             }
         }
-        for (setting, bytes) in
-            [("--max-body-bytes", body_bytes), ("--max-points-out", result_bytes(points_out, &[]))]
-        {
+        for (setting, bytes) in [
+            ("--max-body-bytes", body_bytes),
+            ("--max-points-out", result_bytes(points_out, &[], Format::TEXT)),
+        ] {
             if bytes > held_bytes {
                 return Err(ConfigError::HeldTooSmall { setting, bytes, held: held_bytes });
             }

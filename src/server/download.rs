@@ -9,15 +9,27 @@ use futures::stream;
 use tokio::task::spawn_blocking;
 
 use super::budget::Held;
-use crate::cloud::{Attribute, Position, bytes_a_point};
-use crate::formats::{CloudWriter, Format, FormatError};
+use crate::cloud::{Attribute, Origin, Position, bytes_a_point};
+use crate::formats::{CloudWriter, Format, FormatError, encode};
 
 /// Points encoded at a time: 48 KiB in the commonest format, well under a millisecond of work.
 const BLOCK: usize = 4096;
 
+/// Bytes of a chunk of a result that is encoded as a whole.
+const CHUNK: usize = 256 * 1024;
+
+/// A dense cloud on its way to the client.
+pub(super) struct Dense {
+    pub(super) positions: Vec<Position>,
+    pub(super) attributes: Vec<Attribute>,
+    pub(super) origin: Origin,
+}
+
 /// Memory that a result of so many points with these attributes takes until it is sent.
-pub(super) fn result_bytes(points: u64, attributes: &[Attribute]) -> u64 {
-    points.saturating_mul(size_of::<Position>() as u64 + bytes_a_point(attributes))
+pub(super) fn result_bytes(points: u64, attributes: &[Attribute], format: Format) -> u64 {
+    let a_point = size_of::<Position>() as u64 + bytes_a_point(attributes);
+    // What is not streamed is there twice: as points and as the file.
+    points.saturating_mul(if format.is_streamed() { a_point } else { 2 * a_point + 16 })
 }
 
 /// A result as a response's body.
@@ -25,9 +37,8 @@ pub(super) fn result_bytes(points: u64, attributes: &[Attribute]) -> u64 {
 /// Each block is encoded on a blocking thread when the connection asks for it. So a slow reader
 /// occupies no thread, neither the engine's nor one that encodes; it holds the result's memory,
 /// which `held` accounts for, until it is done or [`super::activity`] ends the connection.
-pub(super) fn body(positions: Vec<Position>, attributes: Vec<Attribute>, format: Format, held: Held) -> Body {
-    let state =
-        Encoder { positions, attributes, format, next: 0, writer: None, sink: Sink::default(), _held: held };
+pub(super) fn body(dense: Dense, format: Format, held: Held) -> Body {
+    let state = Encoder { dense, format, next: 0, stage: Stage::Start, sink: Sink::default(), _held: held };
     Body::from_stream(stream::try_unfold(state, |mut state| async move {
         let step = spawn_blocking(move || state.block().map(|block| (block, state)));
         let (block, state) = step.await.map_err(io::Error::other)?.map_err(io::Error::other)?;
@@ -36,42 +47,51 @@ pub(super) fn body(positions: Vec<Position>, attributes: Vec<Attribute>, format:
 }
 
 struct Encoder {
-    positions: Vec<Position>,
-    attributes: Vec<Attribute>,
+    dense: Dense,
     format: Format,
     /// First position not yet written.
     next: usize,
-    /// The same writer as the command line's, so that both give the same bytes.
-    writer: Option<CloudWriter<Sink>>,
+    stage: Stage,
     sink: Sink,
     _held: Held,
+}
+
+enum Stage {
+    Start,
+    /// The same writer as the command line's, so that both give the same bytes.
+    Rows(CloudWriter<Sink>),
+    /// What is left of a file that could only be made as a whole.
+    Whole(Bytes),
 }
 
 impl Encoder {
     /// The next bytes, or nothing at the end.
     fn block(&mut self) -> Result<Option<Bytes>, FormatError> {
-        let writer = match &mut self.writer {
-            Some(writer) => writer,
-            None if self.next == self.positions.len() => return Ok(None),
-            None => {
-                let points = self.positions.len() as u64;
-                self.writer.insert(CloudWriter::with_attributes(
-                    self.sink.clone(),
-                    self.format,
-                    points,
-                    &self.attributes,
-                )?)
-            }
-        };
-        let Range { start, end } = self.next..self.positions.len().min(self.next + BLOCK);
-        writer.write_rows(&self.positions[start..end], &self.attributes, start)?;
-        self.next = end;
-        if end == self.positions.len()
-            && let Some(writer) = self.writer.take()
-        {
-            writer.finish()?;
+        let Dense { positions, attributes, origin } = &self.dense;
+        if let Stage::Start = self.stage {
+            self.stage = if self.format.is_streamed() {
+                let points = positions.len() as u64;
+                Stage::Rows(CloudWriter::with(self.sink.clone(), self.format, points, attributes, origin)?)
+            } else {
+                Stage::Whole(encode(Vec::new(), self.format, positions, attributes, origin)?.into())
+            };
         }
-        Ok(Some(self.sink.take()))
+        match &mut self.stage {
+            Stage::Rows(writer) if self.next < positions.len() => {
+                let Range { start, end } = self.next..positions.len().min(self.next + BLOCK);
+                writer.write_rows(&positions[start..end], attributes, start)?;
+                self.next = end;
+                if end == positions.len()
+                    && let Stage::Rows(writer) =
+                        std::mem::replace(&mut self.stage, Stage::Whole(Bytes::new()))
+                {
+                    writer.finish()?;
+                }
+                Ok(Some(self.sink.take()))
+            }
+            Stage::Whole(rest) if !rest.is_empty() => Ok(Some(rest.split_to(rest.len().min(CHUNK)))),
+            _ => Ok(None),
+        }
     }
 }
 
@@ -109,7 +129,7 @@ mod tests {
         let budget = Budget::new(1 << 30);
         let ply = |encoding, scalar| Format::Ply { encoding, scalar };
         for format in [
-            Format::Xyz { names: false },
+            Format::TEXT,
             ply(PlyEncoding::Ascii, Scalar::F32),
             ply(PlyEncoding::BinaryLittleEndian, Scalar::F32),
             ply(PlyEncoding::BinaryBigEndian, Scalar::F64),
@@ -119,14 +139,11 @@ mod tests {
                     (0..count).map(|i| [i as f64 * 0.1, 1.0, -(i as f64)]).collect();
                 let red = Values::U16((0..count).map(|i| i as u16).collect());
                 let attributes = vec![Attribute { name: "red".into(), values: red }];
-                let mut whole =
-                    CloudWriter::with_attributes(Vec::new(), format, count as u64, &attributes).unwrap();
-                whole.write_rows(&positions, &attributes, 0).unwrap();
-                let whole = whole.finish().unwrap();
-                let held = budget.hold(result_bytes(count as u64, &attributes)).unwrap();
-                let sent = axum::body::to_bytes(body(positions, attributes, format, held), usize::MAX)
-                    .await
-                    .unwrap();
+                let origin = Origin::default();
+                let whole = encode(Vec::new(), format, &positions, &attributes, &origin).unwrap();
+                let held = budget.hold(result_bytes(count as u64, &attributes, format)).unwrap();
+                let dense = Dense { positions, attributes, origin };
+                let sent = axum::body::to_bytes(body(dense, format, held), usize::MAX).await.unwrap();
                 if count > 0 {
                     assert!(sent == whole, "{format:?}, {count} points");
                 }
@@ -139,7 +156,9 @@ mod tests {
     async fn what_cannot_be_written_breaks_the_body_off() {
         let format = Format::Ply { encoding: PlyEncoding::Ascii, scalar: Scalar::F32 };
         let held = Budget::new(100).hold(1).unwrap();
-        let body = body(vec![[1e300, 0.0, 0.0]], Vec::new(), format, held);
+        let positions = vec![[1e300, 0.0, 0.0]];
+        let dense = Dense { positions, attributes: Vec::new(), origin: Origin::default() };
+        let body = body(dense, format, held);
         assert!(axum::body::to_bytes(body, usize::MAX).await.is_err());
     }
 }

@@ -13,12 +13,13 @@ use tokio::time::timeout;
 
 use super::app::App;
 use super::budget::Held;
-use super::download::{self, result_bytes};
+use super::download::{self, Dense, result_bytes};
 use super::problem::Problem;
 use super::query::Parameters;
 use super::record::Points;
 use super::upload::{Received, Upload};
 use crate::cascade::Settings;
+use crate::cloud::Origin;
 use crate::engine::{Job, Request};
 use crate::formats::Format;
 
@@ -57,7 +58,7 @@ async fn answer(
     let submitted = submit.await.map_err(|error| Problem::Internal(error.to_string()))??;
     timing.add(app, "parse", start.elapsed());
     let start = Instant::now();
-    let Submitted { job, held, format, points_in, mut warnings } = submitted;
+    let Submitted { job, held, format, origin, points_in, mut warnings } = submitted;
     let outcome = job.await.map_err(|error| Problem::from_engine(error, app.engine.retry_after()))?;
     warnings.extend(outcome.warnings());
     timing.add(app, "queue", start.elapsed().saturating_sub(outcome.stages.total()));
@@ -66,8 +67,13 @@ async fn answer(
     }
     let points = Points { read: points_in, made: outcome.positions.len() as u64 };
     app.metrics.points(points.read, points.made);
-    let length = format.encoded_len(points.made, &outcome.attributes);
-    let mut response = download::body(outcome.positions, outcome.attributes, format, held).into_response();
+    let lost = format.cannot_hold(&outcome.attributes, &origin);
+    if !lost.is_empty() {
+        warnings.push(format!("the result's format has no place for {}", lost.join(", ")));
+    }
+    let length = format.encoded_len(points.made, &outcome.attributes, &origin);
+    let dense = Dense { positions: outcome.positions, attributes: outcome.attributes, origin };
+    let mut response = download::body(dense, format, held).into_response();
     let headers = response.headers_mut();
     headers.insert(header::CONTENT_TYPE, HeaderValue::from_static(format.media_type()));
     if let Some(length) = length {
@@ -89,6 +95,7 @@ struct Submitted {
     /// Room for the result, taken beforehand: a finished result never lacks memory.
     held: Held,
     format: Format,
+    origin: Origin,
     points_in: u64,
     /// What its sender should know about how it was read.
     warnings: Vec<String>,
@@ -100,7 +107,7 @@ fn submit(app: &App, received: Received, parameters: &Parameters) -> Result<Subm
     let points_in = cloud.positions.len() as u64;
     app.check_points(points_in, parameters)?;
     let points = parameters.points_out(points_in);
-    let room = result_bytes(points, &cloud.attributes);
+    let room = result_bytes(points, &cloud.attributes, format);
     let limit = app.config.limits.held_bytes;
     if room > limit {
         return Err(Problem::ResultTooLarge { points, bytes: room, limit });
@@ -116,10 +123,11 @@ fn submit(app: &App, received: Received, parameters: &Parameters) -> Result<Subm
         return Err(Problem::parameter("attributes", why));
     }
     let warnings = cloud.warnings();
+    let origin = cloud.origin.clone();
     let request = Request { cloud, target: parameters.target, settings, rules: parameters.rules.clone() };
     let job =
         app.engine.submit(request).map_err(|error| Problem::from_engine(error, app.engine.retry_after()))?;
-    Ok(Submitted { job, held, format, points_in, warnings })
+    Ok(Submitted { job, held, format, origin, points_in, warnings })
 }
 
 /// The longest value of a header of ours; names of properties are the client's to choose.

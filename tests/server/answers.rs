@@ -1,6 +1,7 @@
 //! What goes well.
 
 use densecloud::cascade::Target;
+use densecloud::cloud::Origin;
 use densecloud::formats::{Format, PlyEncoding, Scalar};
 use densecloud::server::{Config, ModelInfo};
 
@@ -14,7 +15,7 @@ fn the_answer_is_the_librarys_own_result_in_the_format_of_the_request() {
         (PLY, "ratio=4", Target::Ratio(4.0), 0),
         (ply(PlyEncoding::BinaryBigEndian, Scalar::F64), "ratio=2.5&seed=7", Target::Ratio(2.5), 7),
         (ply(PlyEncoding::Ascii, Scalar::F32), "points=1001", Target::Points(1001), 0),
-        (Format::Xyz { names: false }, "ratio=16", Target::Ratio(16.0), 0),
+        (Format::TEXT, "ratio=16", Target::Ratio(16.0), 0),
     ] {
         let reply = server.post(&format!("/upsample?{query}"), &encode(&cloud(300), format));
         assert_eq!(reply.status, 200, "{query}: {}", reply.text());
@@ -24,7 +25,9 @@ fn the_answer_is_the_librarys_own_result_in_the_format_of_the_request() {
         assert_eq!(reply.header("densecloud-points-in"), Some("300"));
         assert_eq!(reply.header("densecloud-points-out"), Some(expected.len().to_string().as_str()));
         assert_eq!(reply.header("densecloud-warning"), None);
-        let length = format.encoded_len(expected.len() as u64, &[]).map(|length| length.to_string());
+        let length = format
+            .encoded_len(expected.len() as u64, &[], &Origin::default())
+            .map(|length| length.to_string());
         assert_eq!(reply.header("content-length"), length.as_deref(), "told where it is known");
         let timing = reply.header("server-timing").expect("timing");
         for stage in ["upload", "parse", "queue", "seeds", "patches", "units", "resample"] {

@@ -66,10 +66,7 @@ fn a_stopping_server_says_so_finishes_what_it_has_and_ends() {
 fn a_response_that_is_being_sent_is_sent_whole() {
     let mut server = Server::start(&Scripted::new(), Config::default());
     let mut client = server.connect();
-    client.send_post(
-        "/upsample?ratio=64",
-        &encode(&cloud(2000), densecloud::formats::Format::Xyz { names: false }),
-    );
+    client.send_post("/upsample?ratio=64", &encode(&cloud(2000), densecloud::formats::Format::TEXT));
     let start = client.some();
     assert!(start.starts_with(b"HTTP/1.1 200"));
     server.stop();

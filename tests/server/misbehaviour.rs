@@ -99,7 +99,7 @@ fn narrow(server: &Server) -> Client {
 const LARGE: &str = "/upsample?ratio=64";
 
 fn large() -> Vec<u8> {
-    encode(&cloud(2000), Format::Xyz { names: false })
+    encode(&cloud(2000), Format::TEXT)
 }
 
 #[test]

@@ -6,7 +6,7 @@ use super::super::source::Source;
 use super::super::{Format, FormatError, Header, Limits, PlyEncoding, Scalar};
 use super::header::{Element, PlyHeader, Shape};
 use super::rows::{Rows, decode, truncated};
-use crate::cloud::{Attribute, Kind, Position, Values};
+use crate::cloud::{Attribute, Cloud, Kind, Origin, Position, Values};
 
 /// What a PLY header says of the cloud, checked against the limits. `source` is where the data begin.
 pub(in super::super) fn describe<R: Read>(
@@ -53,7 +53,7 @@ pub(in super::super) fn describe<R: Read>(
 pub(in super::super) fn read_cloud<R: Read>(
     source: &mut Source<R>,
     header: &PlyHeader,
-) -> Result<Vertices, FormatError> {
+) -> Result<Cloud, FormatError> {
     let mut vertices = Vertices::default();
     for element in &header.elements {
         if element.name == "vertex" {
@@ -63,15 +63,16 @@ pub(in super::super) fn read_cloud<R: Read>(
         }
     }
     source.expect_end("the elements that the header counts")?;
-    Ok(vertices)
+    let Vertices { positions, attributes } = vertices;
+    Ok(Cloud { positions, attributes, dropped_properties: Vec::new(), origin: Origin::default() })
 }
 
 /// What the element `vertex` holds.
 #[derive(Default)]
-pub(in super::super) struct Vertices {
-    pub(in super::super) positions: Vec<Position>,
+pub(super) struct Vertices {
+    pub(super) positions: Vec<Position>,
     /// Every scalar property but `x`, `y` and `z`, in the file's order.
-    pub(in super::super) attributes: Vec<Attribute>,
+    pub(super) attributes: Vec<Attribute>,
 }
 
 /// Reads the element `vertex`, with its attributes or without.

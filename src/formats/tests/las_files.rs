@@ -85,7 +85,7 @@ fn every_point_format_is_read_compressed_or_not() {
     {
         let bytes = file(format, compressed, 500, false);
         let reader = CloudReader::open(&bytes[..], Limits::default()).expect("a header");
-        assert_eq!((reader.header().format, reader.header().points), (Format::Las, Some(500)));
+        assert_eq!((reader.header().format, reader.header().points), (Format::Las { compressed }, Some(500)));
         let cloud = reader.read().expect("a cloud");
         for (p, wanted) in cloud.positions.iter().zip(points(500)) {
             for (a, b) in p.iter().zip([wanted.x, wanted.y, wanted.z]) {
@@ -125,7 +125,9 @@ fn extra_bytes_are_read_and_what_is_not_kept_is_named() {
 
 #[test]
 fn las_is_refused_where_it_cannot_be_read_or_written() {
-    let error = CloudWriter::new(Vec::new(), Format::Las, 1).expect_err("not written").to_string();
+    let error = CloudWriter::new(Vec::new(), Format::Las { compressed: false }, 1)
+        .expect_err("not written")
+        .to_string();
     assert!(error.contains(".ply"), "{error}");
     let bytes = file(1, false, 100, false);
     let limits = Limits { max_points: Some(99), ..Limits::default() };

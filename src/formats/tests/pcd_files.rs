@@ -55,10 +55,14 @@ fn ascii() -> Vec<u8> {
 
 #[test]
 fn every_encoding_reads_the_same() {
-    for bytes in [ascii(), binary(), compressed()] {
+    for (encoding, bytes) in [
+        (PcdEncoding::Ascii, ascii()),
+        (PcdEncoding::Binary, binary()),
+        (PcdEncoding::Compressed, compressed()),
+    ] {
         let reader = CloudReader::open(Drip(&bytes), Limits::default()).expect("a header");
         let header = reader.header().clone();
-        assert_eq!((header.format, header.points), (Format::Pcd, Some(2)));
+        assert_eq!((header.format, header.points), (Format::Pcd { encoding }, Some(2)));
         assert_eq!(header.attributes, ["rgb", "label", "normal_x"]);
         let cloud = reader.read().expect("a cloud");
         assert_eq!(cloud.positions[0], [1.5, -2.0, 3.25]);

@@ -3,9 +3,10 @@
 use proptest::prelude::*;
 
 use super::*;
+use crate::cloud::Origin;
 
 fn formats() -> Vec<Format> {
-    let mut all = vec![Format::Xyz { names: false }];
+    let mut all = vec![Format::TEXT];
     for encoding in ENCODINGS {
         all.push(ply(encoding, Scalar::F32));
         all.push(ply(encoding, Scalar::F64));
@@ -46,7 +47,7 @@ proptest! {
                 }
             }
             let bytes = write(&expected, format);
-            if let Some(length) = format.encoded_len(expected.len() as u64, &[]) {
+            if let Some(length) = format.encoded_len(expected.len() as u64, &[], &Origin::default()) {
                 prop_assert_eq!(length, bytes.len() as u64);
             }
             let cloud = if drip {
@@ -111,7 +112,7 @@ fn a_coordinate_too_large_for_floats_is_refused() {
 
 #[test]
 fn text_is_short() {
-    assert_eq!(write(&[[0.1, -2.0, 1e-30]], Format::Xyz { names: false }), b"0.1 -2.0 1e-30\n");
+    assert_eq!(write(&[[0.1, -2.0, 1e-30]], Format::TEXT), b"0.1 -2.0 1e-30\n");
     let narrow = ply(PlyEncoding::Ascii, Scalar::F32);
     let text = String::from_utf8(write(&[[f64::from(0.1_f32), 2.0, 3.0]], narrow)).expect("text");
     assert!(text.ends_with("end_header\n0.1 2.0 3.0\n"), "{text}");
@@ -121,9 +122,10 @@ fn text_is_short() {
 fn extensions_tell_formats() {
     let of = |name: &str| Format::from_extension(std::path::Path::new(name));
     assert_eq!(of("a/b.PLY"), Some(ply(PlyEncoding::BinaryLittleEndian, Scalar::F32)));
-    for name in ["a.xyz", "a.txt", "a.asc", "a.pts", "a.pwn", "a.CSV"] {
-        assert_eq!(of(name), Some(Format::Xyz { names: false }));
+    for name in ["a.xyz", "a.txt", "a.asc", "a.pts", "a.pwn"] {
+        assert_eq!(of(name), Some(Format::TEXT));
     }
+    assert_eq!(of("a.CSV"), Some(Format::Xyz { names: false, separator: Separator::Comma }));
     assert_eq!(of("a.obj"), None);
     assert_eq!(of("ply"), None);
 }
@@ -150,8 +152,8 @@ fn every_kind() -> Vec<Attribute> {
 
 fn write_all(cloud: &Cloud, format: Format) -> Vec<u8> {
     let points = cloud.positions.len();
-    let mut writer =
-        CloudWriter::with_attributes(Vec::new(), format, points as u64, &cloud.attributes).expect("a header");
+    let mut writer = CloudWriter::with(Vec::new(), format, points as u64, &cloud.attributes, &cloud.origin)
+        .expect("a header");
     let (first, rest) = cloud.positions.split_at(1.min(points));
     writer.write_rows(first, &cloud.attributes, 0).expect("points");
     writer.write_rows(rest, &cloud.attributes, first.len()).expect("points");
@@ -161,15 +163,16 @@ fn write_all(cloud: &Cloud, format: Format) -> Vec<u8> {
 #[test]
 fn every_type_of_attribute_comes_back_in_every_encoding_of_ply() {
     let positions = vec![[1.0, 2.0, 3.0], [4.0, 5.0, 6.0], [7.0, 8.0, 9.0]];
-    let cloud = Cloud { positions, attributes: every_kind(), dropped_properties: Vec::new() };
+    let cloud = Cloud { positions, attributes: every_kind(), ..Cloud::default() };
     for encoding in ENCODINGS {
         for scalar in [Scalar::F32, Scalar::F64] {
             let bytes = write_all(&cloud, ply(encoding, scalar));
-            if let Some(length) = ply(encoding, scalar).encoded_len(3, &cloud.attributes) {
+            if let Some(length) = ply(encoding, scalar).encoded_len(3, &cloud.attributes, &cloud.origin) {
                 assert_eq!(length, bytes.len() as u64);
             }
-            assert_eq!(read(&bytes).expect("a cloud"), cloud, "{encoding:?}");
-            assert_eq!(CloudReader::open(Drip(&bytes), Limits::default()).unwrap().read().unwrap(), cloud);
+            assert_eq!(read_content(&bytes).expect("a cloud"), cloud, "{encoding:?}");
+            let dripped = CloudReader::open(Drip(&bytes), Limits::default()).unwrap().read().unwrap();
+            assert_eq!(dripped, read(&bytes).expect("a cloud"));
         }
     }
 }
@@ -182,8 +185,8 @@ fn attributes_in_text_come_back_with_their_names() {
         column("a b", Values::I64(vec![i64::MIN, 0, i64::MAX])),
         column("time", Values::F64(vec![0.1, f64::NAN, 1e300])),
     ];
-    let cloud = Cloud { positions, attributes, dropped_properties: Vec::new() };
-    let bytes = write_all(&cloud, Format::Xyz { names: true });
+    let cloud = Cloud { positions, attributes, ..Cloud::default() };
+    let bytes = write_all(&cloud, Format::Xyz { names: true, separator: Separator::Space });
     assert!(bytes.starts_with(b"x y z red a_b time\n1.0 2.0 3.0 0 -9223372036854775808 0.1\n"));
     let back = read(&bytes).expect("a cloud");
     assert_eq!(back.positions, cloud.positions);
@@ -199,8 +202,8 @@ fn large_files_with_attributes_are_read_whole() {
         column("intensity", Values::U16((0..50_001).map(|i| i as u16).collect())),
         column("id", Values::U32((0..50_001).collect())),
     ];
-    let cloud = Cloud { positions, attributes, dropped_properties: Vec::new() };
+    let cloud = Cloud { positions, attributes, ..Cloud::default() };
     for encoding in ENCODINGS {
-        assert_eq!(read(&write_all(&cloud, ply(encoding, Scalar::F64))).expect("a cloud"), cloud);
+        assert_eq!(read_content(&write_all(&cloud, ply(encoding, Scalar::F64))).expect("a cloud"), cloud);
     }
 }

@@ -25,7 +25,12 @@ fn columns_may_be_separated_in_many_ways() {
         let (header, positions) = xyz(text);
         assert_eq!(positions, [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]], "{text:?}");
         let names = text.starts_with(['x', 'X']);
-        assert_eq!(header.format, Format::Xyz { names });
+        let separator = match text {
+            _ if text.contains(',') => Separator::Comma,
+            _ if text.contains(';') => Separator::Semicolon,
+            _ => Separator::Space,
+        };
+        assert_eq!(header.format, Format::Xyz { names, separator });
         assert!(header.dropped_properties.is_empty());
         assert_eq!(header.points, text.starts_with('2').then_some(2));
     }

@@ -1,0 +1,137 @@
+//! What a file tells of the cloud as a whole.
+
+use std::fmt;
+use std::str::FromStr;
+use std::sync::Arc;
+
+use super::Values;
+
+/// What a file tells beside its points, to be written again where the result's format has a place
+/// for it. Cheap to clone.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Origin {
+    /// The coordinate reference system.
+    pub crs: Option<Crs>,
+    /// Comments, a line each, in the file's order; provenance is among them.
+    pub comments: Vec<String>,
+    /// Where the sensor stood, in the file's own coordinates.
+    pub sensor: Option<[f64; 3]>,
+    /// SHA-256 over all bytes of the file.
+    pub sha256: Option<[u8; 32]>,
+    /// PLY's elements other than `vertex`.
+    pub tables: Arc<Vec<Table>>,
+    /// What only LAS has a place for.
+    pub las: Option<Arc<LasOrigin>>,
+}
+
+/// A coordinate reference system. As text ([`fmt::Display`], [`FromStr`]) it is one line.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Crs {
+    /// Codes of the EPSG register: `EPSG:2992`, or `EPSG:2992+5703` with one for heights.
+    Epsg {
+        /// A projected or geographic system.
+        horizontal: u32,
+        /// The system of the heights, where it is another.
+        vertical: Option<u32>,
+    },
+    /// Well-known text, version 1 or 2, or whatever else the file has in its place.
+    Wkt(String),
+}
+
+impl Crs {
+    /// A name for people: the code, or the first quoted name in the well-known text.
+    #[must_use]
+    pub fn name(&self) -> String {
+        match self {
+            Self::Epsg { .. } => self.to_string(),
+            Self::Wkt(text) => match text.split('"').nth(1) {
+                Some(name) if !name.is_empty() => name.to_owned(),
+                _ => text.chars().take(60).collect(),
+            },
+        }
+    }
+}
+
+impl fmt::Display for Crs {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Epsg { horizontal, vertical: None } => write!(f, "EPSG:{horizontal}"),
+            Self::Epsg { horizontal, vertical: Some(vertical) } => write!(f, "EPSG:{horizontal}+{vertical}"),
+            // Line ends mean nothing in well-known text, but would end a comment.
+            Self::Wkt(text) => {
+                let lines: Vec<&str> =
+                    text.split(['\r', '\n', '\0']).map(str::trim).filter(|l| !l.is_empty()).collect();
+                f.write_str(&lines.join(" "))
+            }
+        }
+    }
+}
+
+impl FromStr for Crs {
+    type Err = std::convert::Infallible;
+
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        let codes = text.trim().strip_prefix("EPSG:").and_then(|codes| match codes.split_once('+') {
+            None => Some(Self::Epsg { horizontal: codes.parse().ok()?, vertical: None }),
+            Some((horizontal, vertical)) => Some(Self::Epsg {
+                horizontal: horizontal.parse().ok()?,
+                vertical: Some(vertical.parse().ok()?),
+            }),
+        });
+        Ok(codes.unwrap_or_else(|| Self::Wkt(text.trim().to_owned())))
+    }
+}
+
+/// A table beside the points, as PLY has them: `face`, `camera`, `edge`.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Table {
+    /// The element's name.
+    pub name: String,
+    /// Rows: the length of every column.
+    pub rows: usize,
+    /// The columns and their names.
+    pub columns: Vec<(String, Column)>,
+}
+
+/// A column of a [`Table`].
+#[derive(Debug, Clone, PartialEq)]
+pub enum Column {
+    /// A number a row.
+    Scalar(Values),
+    /// A list a row.
+    List {
+        /// How many items each row has, in the type that the file counts them in.
+        lengths: Values,
+        /// The items of all rows.
+        items: Values,
+    },
+}
+
+/// What a LAS file has in its header and its records.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LasOrigin {
+    /// The steps that coordinates are stored in, an axis each.
+    pub scale: [f64; 3],
+    /// The coordinates that step 0 stands for, an axis each.
+    pub offset: [f64; 3],
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_coordinate_system_is_one_line_of_text_and_back() {
+        for (text, name) in [
+            ("EPSG:2992", "EPSG:2992"),
+            ("EPSG:2992+5703", "EPSG:2992+5703"),
+            ("PROJCS[\"NAD83 / Oregon\",GEOGCS[\"x\"]]", "NAD83 / Oregon"),
+            ("EPSG:", "EPSG:"),
+        ] {
+            let crs: Crs = text.parse().expect("any text");
+            assert_eq!((crs.to_string().as_str(), crs.name().as_str()), (text, name));
+        }
+        let lines = Crs::Wkt("A[\"b\",\r\n  C]\0".into());
+        assert_eq!(lines.to_string(), "A[\"b\", C]");
+    }
+}

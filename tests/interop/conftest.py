@@ -1,0 +1,45 @@
+"""What the tests against other programs share: the program, and a cloud with everything on it."""
+
+import os
+import pathlib
+import subprocess
+
+import numpy as np
+import pytest
+
+ROOT = pathlib.Path(__file__).resolve().parents[2]
+TARGET = pathlib.Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target"))
+PROGRAM = os.environ.get("DENSECLOUD", str(TARGET / "release" / "densecloud"))
+
+
+@pytest.fixture
+def upsample():
+    """Runs `densecloud upsample INPUT OUTPUT ...`; gives what it said on standard error."""
+
+    def run(source, result, *arguments, fails=False):
+        command = [PROGRAM, "upsample", str(source), str(result), *map(str, arguments)]
+        done = subprocess.run(command, check=False, capture_output=True, text=True, timeout=600)
+        assert (done.returncode != 0) == fails, done.stderr
+        return done.stderr
+
+    return run
+
+
+@pytest.fixture
+def sphere():
+    """1,500 even points of a sphere of 10 m about a point in UTM coordinates, and their normals."""
+    i = np.arange(1500)
+    z = 1.0 - (2 * i + 1) / len(i)
+    r, angle = np.sqrt(1 - z * z), i * 2.399963229728653
+    normals = np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=1)
+    return np.array([465_123.25, 5_204_987.5, 812.125]) + 10 * normals, normals
+
+
+def assert_on_sphere(points, tolerance=0.15):
+    """The points lie on the sphere of `sphere` and cover it."""
+    directions = (points - np.array([465_123.25, 5_204_987.5, 812.125])) / 10
+    radii = np.linalg.norm(directions, axis=1)
+    assert np.abs(radii - 1).max() < tolerance, np.abs(radii - 1).max()
+    for axis in range(3):
+        assert directions[:, axis].min() < -0.9
+        assert directions[:, axis].max() > 0.9

@@ -1,0 +1,17 @@
+#!/bin/sh
+# Formats against other programs: files that they write are read here, and files written here by them.
+# Their packages come from PyPI into .venv-interop at the repository root, about 2 GB, the first time.
+#
+#     sh tests/interop/run.sh [arguments of pytest]
+set -eu
+cd "$(dirname "$0")/../.."
+venv=${DENSECLOUD_INTEROP_VENV:-.venv-interop}
+if ! "$venv/bin/python" -c 'import laspy, lazrs, numpy, open3d, plyfile, pye57, pypcd4, pytest, trimesh' 2>/dev/null; then
+    python3 -m venv "$venv"
+    "$venv/bin/pip" install --quiet --only-binary :all: -r tests/interop/requirements.txt
+fi
+if [ -z "${DENSECLOUD:-}" ]; then
+    sh scripts/fetch-onnxruntime.sh
+    cargo build --release
+fi
+exec "$venv/bin/python" -m pytest -q tests/interop "$@"
