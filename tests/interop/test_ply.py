@@ -7,9 +7,7 @@ from conftest import assert_on_sphere
 
 
 @pytest.mark.parametrize("text, order", [(True, "="), (False, "<"), (False, ">")])
-def test_what_plyfile_writes_is_read_and_what_is_written_plyfile_reads(
-    tmp_path, sphere, upsample, text, order
-):
+def test_what_plyfile_writes_is_read_and_what_is_written_plyfile_reads(tmp_path, sphere, upsample, text, order):
     points, normals = sphere
     fields = [(n, "f8") for n in "xyz"] + [(n, "f4") for n in ("nx", "ny", "nz")]
     fields += [("red", "u1"), ("label", "i4"), ("time", "f8")]
@@ -21,9 +19,7 @@ def test_what_plyfile_writes_is_read_and_what_is_written_plyfile_reads(
     rows["time"] = 3.5e8 + np.arange(len(points))
     source, result = tmp_path / "source.ply", tmp_path / "result.ply"
     element = plyfile.PlyElement.describe(rows, "vertex")
-    plyfile.PlyData(
-        [element], text=text, byte_order=order, comments=["from plyfile"]
-    ).write(source)
+    plyfile.PlyData([element], text=text, byte_order=order, comments=["from plyfile"]).write(source)
 
     upsample(source, result, "--ratio", 4)
 
