@@ -3,6 +3,7 @@
 import numpy as np
 import plyfile
 import pytest
+
 from conftest import assert_on_sphere
 
 
