@@ -13,4 +13,6 @@ pub mod engine;
 pub mod evaluate;
 pub mod formats;
 pub mod geometry;
+pub mod provenance;
 pub mod server;
+pub mod survey;

@@ -60,7 +60,7 @@ fn the_same_input_gives_the_same_bytes_on_any_number_of_threads() {
     };
     let one = dense("1");
     assert!(one.starts_with(b"ply\nformat binary_little_endian 1.0\n"));
-    assert!(String::from_utf8_lossy(&one[..200]).contains("element vertex 5600"));
+    assert!(String::from_utf8_lossy(&one[..900]).contains("element vertex 5600"));
     assert!(one == dense("2"), "2 threads differ from 1");
     assert!(one == dense("8"), "8 threads differ from 1");
 }
@@ -144,7 +144,7 @@ fn rules_for_attributes_are_set_by_name() {
     let nearest = run("red:nearest,label:drop");
     assert!(nearest.status.success(), "{}", stderr(&nearest));
     let text = String::from_utf8(nearest.stdout).expect("text");
-    assert!(!text.contains("label"));
+    assert!(!text.contains("property int label"));
     let (_, rows) = text.split_once("end_header\n").expect("a header");
     let red = |row: &str| row.split(' ').nth(3).expect("red").parse::<u32>().expect("a number");
     assert!(rows.lines().all(|row| red(row) % 4 == 0), "values of the source alone");
@@ -313,5 +313,152 @@ fn evaluate_says_what_is_missing() {
         let output = run(&[&["evaluate"], &arguments[..]].concat());
         assert_eq!(output.status.code(), Some(code), "{arguments:?}: {}", stderr(&output));
         assert!(stderr(&output).contains(words), "{arguments:?}: {}", stderr(&output));
+    }
+}
+
+/// The rows of a text PLY file, and its header.
+fn table(ply: &str) -> (&str, Vec<Vec<f64>>) {
+    let (header, rows) = ply.split_once("end_header\n").expect("a header");
+    let numbers = |line: &str| line.split(' ').map(|f| f.parse().expect("a number")).collect();
+    (header, rows.lines().map(numbers).collect())
+}
+
+#[test]
+fn the_input_is_kept_exactly_where_that_is_wanted() {
+    let source = coloured();
+    let arguments = ["upsample", "-", "-", "--ratio", "3", "--keep-input", "--source-fields"];
+    let output = fed(&arguments, source.as_bytes());
+    assert!(output.status.success(), "{}", stderr(&output));
+    let result = String::from_utf8(output.stdout).expect("text");
+    let (header, rows) = table(&result);
+    assert!(header.contains("property uint source_index\nproperty uchar is_generated\n"), "{header}");
+    let (_, own) = table(&source);
+    for (i, row) in rows.iter().take(180).enumerate() {
+        let generated = f64::from(u8::from(i >= 60));
+        assert_eq!(row[6], generated, "row {i}");
+        if i < 60 {
+            // 32-bit floats in both, so the digits may differ, not the numbers.
+            assert_eq!(
+                row[..3].iter().map(|c| *c as f32).collect::<Vec<_>>(),
+                own[i][..3].iter().map(|c| *c as f32).collect::<Vec<_>>()
+            );
+            assert_eq!((&row[3..5], row[5]), (&own[i][3..5], i as f64));
+        }
+    }
+}
+
+#[test]
+fn normals_are_estimated_on_the_side_of_the_sensor() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let input = knot(folder.path(), "in.xyz", "600");
+    let output = ok(&[
+        "upsample",
+        &input,
+        "-",
+        "--ratio",
+        "2",
+        "--normals",
+        "estimate",
+        "--sensor",
+        "0,0,-90",
+        "--seed",
+        "3",
+    ]);
+    let result = String::from_utf8(output.stdout).expect("text");
+    let mut towards = 0;
+    for line in result.lines() {
+        let row: Vec<f64> = line.split(' ').filter_map(|f| f.parse().ok()).collect();
+        let [x, y, z, nx, ny, nz] = row[..] else { panic!("{line}") };
+        let side = -(x * nx + y * ny) + (-90.0 - z) * nz;
+        assert!((nx * nx + ny * ny + nz * nz - 1.0).abs() < 1e-5, "{line}");
+        towards += usize::from(side >= 0.0);
+    }
+    assert_eq!((towards, result.lines().count()), (1200, 1200));
+}
+
+#[test]
+fn a_result_tells_where_it_comes_from() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let input = knot(folder.path(), "in.ply", "600");
+    for name in ["dense.ply", "dense.xyz"] {
+        let dense = folder.path().join(name);
+        ok(&["upsample", &input, text(&dense), "--points", "1500", "--seed", "9"]);
+        let inspected = ok(&["inspect", text(&dense), "--json"]);
+        let told: serde_json::Value = serde_json::from_slice(&inspected.stdout).expect("JSON");
+        assert_eq!(told["points"], 1500);
+        let hash = String::from_utf8(ok(&["inspect", &input, "--json"]).stdout).expect("text");
+        let hash: serde_json::Value = serde_json::from_str(&hash).expect("JSON");
+        let line = told["provenance"][0].as_str().expect("provenance").to_owned();
+        let expected = format!(
+            "input_sha256={} input_points=600 points=1500 seed=9",
+            hash["sha256"].as_str().expect("a hash")
+        );
+        assert!(line.contains(&expected), "{line}");
+        let people = String::from_utf8(ok(&["inspect", text(&dense)]).stdout).expect("text");
+        assert!(people.contains("made by      densecloud version="), "{people}");
+    }
+}
+
+#[test]
+fn a_spacing_or_a_density_is_met() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let input = knot(folder.path(), "in.ply", "3000");
+    let inspect = |path: &str| -> serde_json::Value {
+        serde_json::from_slice(&ok(&["inspect", path, "--json"]).stdout).expect("JSON")
+    };
+    let own = inspect(&input);
+    let (area, spacing) =
+        (own["area"].as_f64().expect("area"), own["mean_spacing"].as_f64().expect("spacing"));
+    let dense = folder.path().join("dense.ply");
+    let wanted = spacing / 2.3;
+    ok(&["upsample", &input, text(&dense), "--spacing", &wanted.to_string()]);
+    let reached = inspect(text(&dense))["mean_spacing"].as_f64().expect("spacing");
+    assert!((reached / wanted - 1.0).abs() < 0.05, "{reached} for {wanted}");
+    let wanted = 9000.0 / area;
+    ok(&["upsample", &input, text(&dense), "--density", &wanted.to_string()]);
+    let told = inspect(text(&dense));
+    assert!((told["points"].as_f64().expect("points") / 9000.0 - 1.0).abs() < 0.01);
+    assert!((told["density"]["median"].as_f64().expect("density") / wanted - 1.0).abs() < 0.1, "{told}");
+    let refused = run(&["upsample", &input, text(&dense), "--spacing", "1e-6"]);
+    assert_eq!(refused.status.code(), Some(64));
+    assert!(stderr(&refused).contains("from 1 to 64 is possible here: spacing"), "{}", stderr(&refused));
+}
+
+#[test]
+fn coordinates_far_from_the_origin_keep_their_detail() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let near = knot(folder.path(), "near.xyz", "800");
+    let far = folder.path().join("far.ply");
+    // Multiples of 2^-20, so that moving them is exact in 64 bits, as 32-bit floats where these hold them.
+    let at = [465_123.0, 5_204_987.0, 812.0];
+    let mut ply = "ply\nformat ascii 1.0\nelement vertex 800\nproperty double x\nproperty double y\nproperty double z\nend_header\n".to_owned();
+    let mut text_near = String::new();
+    for line in std::fs::read_to_string(&near).expect("points").lines() {
+        let p: Vec<f64> = line
+            .split(' ')
+            .map(|f| (f.parse::<f64>().expect("a number") * 1_048_576.0).round() / 1_048_576.0)
+            .collect();
+        text_near += &format!("{} {} {}\n", p[0], p[1], p[2]);
+        ply += &format!("{} {} {}\n", p[0] + at[0], p[1] + at[1], p[2] + at[2]);
+    }
+    std::fs::write(&near, text_near).expect("a file");
+    std::fs::write(&far, ply).expect("a file");
+    let dense = |input: &str, output: &str| -> Vec<[f64; 3]> {
+        let output = folder.path().join(output);
+        ok(&["upsample", input, text(&output), "--ratio", "4"]);
+        let result = std::fs::read_to_string(output).expect("a result");
+        let rows = result.split_once("end_header\n").map_or(result.as_str(), |(_, rows)| rows);
+        rows.lines()
+            .map(|l| {
+                let row: Vec<f64> = l.split(' ').map(|f| f.parse().expect("a number")).collect();
+                [row[0], row[1], row[2]]
+            })
+            .collect()
+    };
+    let (near, far) = (dense(&near, "a.xyz"), dense(text(&far), "b.ply"));
+    for (a, b) in near.iter().zip(&far) {
+        for axis in 0..3 {
+            assert!((a[axis] + at[axis] - b[axis]).abs() < 2e-9, "{a:?} {b:?}");
+        }
     }
 }

@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 
 use super::rules::{Rule, Rules};
-use crate::cloud::{Attribute, Cloud, Frame, Point, Position, Values};
+use crate::cloud::{Attribute, Cloud, Frame, Kind, Point, Position, Values};
 use crate::geometry::{KdTree, Walk};
 
 /// Source points that a mean is taken over; the last one only sets how far the others reach.
@@ -41,7 +41,12 @@ pub fn carry(
         return Some(Vec::new());
     }
     let near = Near::find(&source.positions, dense, cancelled)?;
-    let normal = normal_of(&kept);
+    let usual = Rules::default();
+    let follows_usual = |(a, rule): &&(&Attribute, Rule)| *rule == usual.of(&a.name, a.values.kind());
+    let normal = normal_of(kept.iter().map(|pair| {
+        let name = if follows_usual(&pair) { pair.0.name.as_str() } else { "" };
+        (name, pair.0.values.kind())
+    }));
     let mut carried: Vec<Attribute> = Vec::with_capacity(kept.len());
     for (i, (attribute, rule)) in kept.iter().enumerate() {
         if cancelled() {
@@ -64,14 +69,11 @@ pub fn carry(
     Some(carried)
 }
 
-/// Where the three parts of a normal stand, if all are there, are floats and follow the usual rule.
-fn normal_of(kept: &[(&Attribute, Rule)]) -> Option<[usize; 3]> {
-    let usual = Rules::default();
-    let find = |name: &str| {
-        kept.iter().position(|(a, rule)| {
-            let kind = a.values.kind();
-            a.name.eq_ignore_ascii_case(name) && kind.is_float() && *rule == usual.of(&a.name, kind)
-        })
+/// Where the three parts of a normal stand, if all are there and are floats.
+pub(super) fn normal_of<'a>(attributes: impl Iterator<Item = (&'a str, Kind)>) -> Option<[usize; 3]> {
+    let attributes: Vec<(&str, Kind)> = attributes.collect();
+    let find = |wanted: &str| {
+        attributes.iter().position(|(name, kind)| name.eq_ignore_ascii_case(wanted) && kind.is_float())
     };
     [["nx", "ny", "nz"], ["normal_x", "normal_y", "normal_z"], ["normalx", "normaly", "normalz"]]
         .into_iter()
@@ -79,13 +81,17 @@ fn normal_of(kept: &[(&Attribute, Rule)]) -> Option<[usize; 3]> {
 }
 
 /// For each new point its nearest source points, by their rows in the source.
-struct Near {
-    nearest: Vec<u32>,
+pub(super) struct Near {
+    pub(super) nearest: Vec<u32>,
     weighted: Vec<[(u32, f32); NEAREST - 1]>,
 }
 
 impl Near {
-    fn find(source: &[Position], dense: &[Position], cancelled: &(dyn Fn() -> bool + Sync)) -> Option<Self> {
+    pub(super) fn find(
+        source: &[Position],
+        dense: &[Position],
+        cancelled: &(dyn Fn() -> bool + Sync),
+    ) -> Option<Self> {
         let finite = |p: &Position| p.iter().all(|c| c.is_finite());
         let rows: Vec<u32> = (0..source.len() as u32).filter(|&i| finite(&source[i as usize])).collect();
         let positions: Vec<Position> = rows.iter().map(|&i| source[i as usize]).collect();

@@ -2,7 +2,10 @@
 //! type, and the nearest points of the source.
 
 mod carry;
+mod finish;
+mod keep;
 mod rules;
 
 pub use carry::carry;
+pub use finish::{Finish, finish};
 pub use rules::{Rule, Rules, RulesError};

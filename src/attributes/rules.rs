@@ -1,5 +1,6 @@
 //! Which rule an attribute follows.
 
+use std::fmt;
 use std::str::FromStr;
 
 use crate::cloud::Kind;
@@ -111,6 +112,22 @@ impl Rules {
     /// Names that have a rule and are none of `names`: misspelt ones, most likely.
     pub fn unknown<'a>(&'a self, names: &'a [&str]) -> impl Iterator<Item = &'a str> {
         self.set.iter().map(|(name, _)| name.as_str()).filter(|name| !names.contains(name))
+    }
+}
+
+/// As [`FromStr`] reads it; nothing where no rule is set.
+impl fmt::Display for Rules {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for (i, (name, rule)) in self.set.iter().enumerate() {
+            let comma = if i == 0 { "" } else { "," };
+            let rule = match rule {
+                Rule::Mean => "mean",
+                Rule::Nearest => "nearest",
+                Rule::Drop => "drop",
+            };
+            write!(f, "{comma}{name}:{rule}")?;
+        }
+        Ok(())
     }
 }
 

@@ -14,7 +14,7 @@ mod workers;
 use half::f16;
 
 pub use fake::Fake;
-pub use model::{Card, Model, UnitFile};
+pub use model::{Card, Model, ModelName, UnitFile};
 pub use onnx::OnnxBackend;
 pub use workers::{Lane, Worker, Workers};
 

@@ -45,6 +45,15 @@ pub struct UnitFile {
     pub sha256: String,
 }
 
+/// Which model made a result.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct ModelName {
+    /// Name on the card.
+    pub name: String,
+    /// SHA-256 of the weights, in hexadecimal.
+    pub sha256: String,
+}
+
 const CARD: &str = "model.toml";
 
 impl Model {
@@ -107,6 +116,12 @@ impl Model {
             all.update(bytes);
         }
         Ok(Self { card, units, sha256: hexadecimal(&all.finalize()) })
+    }
+
+    /// How it is named where results tell what made them.
+    #[must_use]
+    pub fn name(&self) -> ModelName {
+        ModelName { name: self.card.name.clone(), sha256: self.sha256.clone() }
     }
 
     /// The sizes that its units share.

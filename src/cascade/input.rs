@@ -32,7 +32,7 @@ impl Input {
 }
 
 /// The first of each group of equal points, in the given order.
-fn distinct(points: &[Point]) -> Vec<Point> {
+pub(crate) fn distinct(points: &[Point]) -> Vec<Point> {
     let bits = |i: u32| points[i as usize].map(f32::to_bits);
     let mut order: Vec<u32> = (0..points.len() as u32).collect();
     order.sort_unstable_by_key(|&i| (bits(i), i));

@@ -34,6 +34,7 @@ pub use plan::{MAX_RATIO, Target};
 use crate::backend::{BackendError, Lane, Workers};
 use crate::cloud::{FrameError, Position};
 use input::Input;
+pub(crate) use input::distinct;
 use level::{Done, Level};
 use plan::Plan;
 

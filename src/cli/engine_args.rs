@@ -37,9 +37,9 @@ impl EngineArgs {
         model.map(Arc::new).map_err(|e| CliError::Failed(e.to_string()))
     }
 
-    /// Reads the model and starts an engine for one request at a time.
-    pub(super) fn engine(&self) -> Result<Engine, CliError> {
+    /// Starts an engine for one request at a time.
+    pub(super) fn engine(&self, model: Arc<Model>) -> Result<Engine, CliError> {
         let config = EngineConfig { threads: self.threads, concurrency: 1, queue_points: u64::MAX };
-        Engine::new(self.model()?, config).map_err(|e| CliError::Failed(e.to_string()))
+        Engine::new(model, config).map_err(|e| CliError::Failed(e.to_string()))
     }
 }

@@ -7,7 +7,7 @@ use clap::Args;
 use super::CliError;
 use super::engine_args::EngineArgs;
 use super::files;
-use crate::attributes::Rules;
+use crate::attributes::Finish;
 use crate::cascade::{self, Target};
 use crate::cloud::Position;
 use crate::engine::{Engine, Job, Request};
@@ -148,7 +148,7 @@ pub(super) fn run(args: &EvaluateArgs) -> Result<(), CliError> {
         seed: args.seed,
     };
     let cascade = match args.pred {
-        None => Some(Cascade { engine: args.engine.engine()?, target, settings }),
+        None => Some(Cascade { engine: args.engine.engine(args.engine.model()?)?, target, settings }),
         Some(_) => None,
     };
     let cascade_settings = match args.pred {
@@ -254,7 +254,7 @@ impl Cascade {
             cloud: positions.into(),
             target: self.target,
             settings: self.settings,
-            rules: Rules::default(),
+            finish: Finish::default(),
         };
         let outcome = self.engine.submit(request).and_then(Job::wait);
         outcome.map(|o| o.positions).map_err(|e| CliError::Failed(format!("shape `{name}`: {e}")))

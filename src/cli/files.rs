@@ -12,6 +12,13 @@ pub(super) fn is_stream(path: &Path) -> bool {
     path.as_os_str() == "-"
 }
 
+/// The path with `suffix` after its name.
+pub(super) fn beside(path: &Path, suffix: &str) -> PathBuf {
+    let mut name = path.as_os_str().to_owned();
+    name.push(suffix);
+    name.into()
+}
+
 /// Reads a cloud, `-` from standard input.
 pub(super) fn read_cloud(path: &Path) -> Result<(Cloud, Header), CliError> {
     let read = if is_stream(path) {
@@ -49,9 +56,7 @@ pub(super) fn write(
         let mut sink = BufWriter::new(io::stdout().lock());
         return encode(&mut sink).and_then(|()| Ok(sink.flush()?)).map_err(|why| CliError::file(path, why));
     }
-    let mut part = path.as_os_str().to_owned();
-    part.push(".part");
-    let part = PathBuf::from(part);
+    let part = beside(path, ".part");
     let file = File::create(&part).map_err(|why| CliError::file(path, why))?;
     let mut sink = BufWriter::with_capacity(1 << 20, file);
     let written = encode(&mut sink).and_then(|()| Ok(sink.flush()?)).and_then(|()| {

@@ -6,6 +6,7 @@ mod engine_args;
 mod error;
 mod evaluate;
 mod files;
+mod inspect;
 mod render;
 mod sample;
 mod serve;
@@ -28,6 +29,7 @@ struct Arguments {
 #[derive(Debug, Subcommand)]
 enum Command {
     Upsample(upsample::UpsampleArgs),
+    Inspect(inspect::InspectArgs),
     Serve(serve::ServeArgs),
     Evaluate(evaluate::EvaluateArgs),
     Sample(sample::SampleArgs),
@@ -55,6 +57,7 @@ pub fn main() -> ExitCode {
 
 fn run(command: Command) -> Result<(), CliError> {
     match command {
+        Command::Inspect(args) => inspect::run(&args),
         Command::Render(args) => render::run(&args),
         Command::Sample(args) => sample::run(&args),
         Command::Upsample(args) => upsample::run(&args),

@@ -115,11 +115,7 @@ pub(super) fn run(args: &ServeArgs) -> Result<(), CliError> {
     let sizes =
         EngineConfig { threads: args.engine.threads, queue_points: args.queue_points, ..Default::default() };
     let engine = Engine::new(model.clone(), sizes).map_err(|e| failed(&e))?;
-    config.model = ModelInfo {
-        name: model.card.name.clone(),
-        sha256: model.sha256.clone(),
-        provider: engine.provider().to_owned(),
-    };
+    config.model = ModelInfo { name: model.name(), provider: engine.provider().to_owned() };
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .enable_all()
         .max_blocking_threads(BLOCKING_THREADS)
@@ -167,7 +163,7 @@ async fn serve(args: &ServeArgs, engine: Engine, config: Config) -> Result<(), C
     let address = listener.local_addr().map_err(unbound)?;
     let model = &config.model;
     tracing::info!(
-        %address, model = model.name, provider = model.provider, threads = engine.threads(), "listening"
+        %address, model = model.name.name, provider = model.provider, threads = engine.threads(), "listening"
     );
     server::run(listener, engine, config, signals.first()).await.map_err(|e| CliError::Failed(e.to_string()))
 }

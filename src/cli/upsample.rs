@@ -4,15 +4,18 @@ use std::io::{self, IsTerminal};
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-use clap::{ArgGroup, Args};
+use clap::{ArgGroup, Args, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
 
 use super::engine_args::EngineArgs;
 use super::{CliError, files};
-use crate::attributes::Rules;
+use crate::attributes::{Finish, Rules};
 use crate::cascade::{Settings, Target};
+use crate::cloud::Position;
 use crate::engine::{EngineError, Job, Outcome, ProgressHandle, Request};
 use crate::formats::{Format, FormatError};
+use crate::provenance;
+use crate::survey::{self, Goal, GoalError, Survey};
 
 /// Make a cloud denser.
 #[derive(Debug, Args)]
@@ -20,6 +23,7 @@ use crate::formats::{Format, FormatError};
 Examples:
   densecloud upsample scan.ply dense.ply --ratio 4
   densecloud upsample scan.xyz dense.ply --points 1000000
+  densecloud upsample scan.laz dense.ply --spacing 0.05 --keep-input
   cat scan.ply | densecloud upsample - - --ratio 2.5 > dense.ply")]
 pub(super) struct UpsampleArgs {
     /// The sparse cloud: PLY, LAS, LAZ, PCD or text, recognised by its content; `-` for standard input
@@ -36,6 +40,30 @@ pub(super) struct UpsampleArgs {
     /// Points out, exactly: 1 to 64 times the points in
     #[arg(short = 'n', long, value_name = "N", group = "target")]
     points: Option<u64>,
+
+    /// Mean distance from a point to its nearest neighbour, in the cloud's units
+    #[arg(long, value_name = "D", group = "target")]
+    spacing: Option<f64>,
+
+    /// Points a square unit of surface
+    #[arg(long, value_name = "N", group = "target")]
+    density: Option<f64>,
+
+    /// Keep the input's points exactly, before the new ones; each takes the place of one of these
+    #[arg(long)]
+    keep_input: bool,
+
+    /// Add `source_index` (the row of the input's point that is nearest) and `is_generated` to each point
+    #[arg(long)]
+    source_fields: bool,
+
+    /// `estimate`: normals from the dense cloud itself, on the side of the input's, or of the sensor
+    #[arg(long, value_name = "HOW")]
+    normals: Option<Normals>,
+
+    /// Where the sensor stood, for the side of estimated normals [default: as the file says]
+    #[arg(long, value_name = "X,Y,Z", value_parser = parse_position, allow_hyphen_values = true, requires = "normals")]
+    sensor: Option<Position>,
 
     /// Chooses among equally good results; the same seed gives the same bytes
     #[arg(long, default_value_t = 0)]
@@ -74,14 +102,31 @@ pub(super) struct UpsampleArgs {
     engine: EngineArgs,
 }
 
+/// Where the normals of new points come from.
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum Normals {
+    Estimate,
+}
+
+fn parse_position(text: &str) -> Result<Position, String> {
+    let numbers: Vec<f64> =
+        text.split(',').map(|n| n.trim().parse()).collect::<Result<_, _>>().map_err(|_| "not X,Y,Z")?;
+    numbers.try_into().map_err(|_| "not three numbers X,Y,Z".to_owned())
+}
+
+/// What is added to the name of a result whose format has no place for comments.
+pub(super) const PROVENANCE: &str = ".provenance.txt";
+
 pub(super) fn run(args: &UpsampleArgs) -> Result<(), CliError> {
-    let target = match (args.ratio, args.points) {
-        (None, Some(points)) => Target::Points(points),
-        (ratio, _) => Target::Ratio(ratio.unwrap_or(4.0)),
+    let goal = match (args.ratio, args.points, args.spacing, args.density) {
+        (_, Some(points), ..) => Goal::Target(Target::Points(points)),
+        (_, _, Some(spacing), _) => Goal::Spacing(spacing),
+        (_, _, _, Some(density)) => Goal::Density(density),
+        (ratio, ..) => Goal::Target(Target::Ratio(ratio.unwrap_or(4.0))),
     };
     // A bad ratio should be told before a long read.
-    if let Target::Ratio(_) = target {
-        target.points_out(1).map_err(|e| CliError::Usage(e.to_string()))?;
+    if let Goal::Target(ratio @ Target::Ratio(_)) = goal {
+        ratio.points_out(1).map_err(|e| CliError::Usage(e.to_string()))?;
     }
     let wanted = Format::from_extension(&args.output);
     if matches!(wanted, Some(Format::Las { .. } | Format::Pcd { .. })) {
@@ -89,8 +134,6 @@ pub(super) fn run(args: &UpsampleArgs) -> Result<(), CliError> {
     }
     let start = Instant::now();
     let (cloud, header) = files::read_cloud(&args.input)?;
-    let format = Format::of_result(wanted, header.format, !cloud.attributes.is_empty());
-    let origin = cloud.origin.clone();
     let note = |text: String| {
         if !args.quiet {
             eprintln!("densecloud: {text}");
@@ -101,6 +144,18 @@ pub(super) fn run(args: &UpsampleArgs) -> Result<(), CliError> {
     }
 
     let points_in = cloud.positions.len();
+    let target = goal.target(&cloud.positions).map_err(|e| match e {
+        GoalError::Cloud(_) => CliError::file(&args.input, e),
+        _ => CliError::Usage(e.to_string()),
+    })?;
+    let mut format = Format::of_result(wanted, header.format, !cloud.attributes.is_empty());
+    if let Ok(survey) = Survey::of(&cloud.positions, survey::GLANCE) {
+        for warning in survey.warnings() {
+            note(format!("warning: {warning}"));
+        }
+        let points = target.points_out(survey.finite as u64).unwrap_or_default();
+        format = format.fine_enough(survey.bounds, survey.result_spacing(points));
+    }
     let settings = Settings {
         overlap: args.overlap,
         inner: args.inner,
@@ -109,7 +164,9 @@ pub(super) fn run(args: &UpsampleArgs) -> Result<(), CliError> {
         polish: !args.no_polish,
         seed: args.seed,
     };
-    let engine = args.engine.engine()?;
+    let model = args.engine.model()?;
+    let name = model.name();
+    let engine = args.engine.engine(model)?;
     let fail = |e: EngineError| CliError::file(&args.input, e);
     let rules = args.attributes.clone().unwrap_or_default();
     let names: Vec<&str> = cloud.attributes.iter().map(|a| a.name.as_str()).collect();
@@ -119,7 +176,18 @@ pub(super) fn run(args: &UpsampleArgs) -> Result<(), CliError> {
             "--attributes: no attribute {unknown:?}; the input has {known}"
         )));
     }
-    let job = engine.submit(Request { cloud, target, settings, rules }).map_err(fail)?;
+    let finish = Finish {
+        rules,
+        keep_input: args.keep_input,
+        source_fields: args.source_fields,
+        estimate_normals: args.normals.is_some(),
+        sensor: args.sensor,
+    };
+    let mut origin = cloud.origin.clone();
+    let request = Request { cloud, target, settings, finish };
+    let provenance = provenance::line(&name, &request);
+    origin.comments.push(provenance.clone());
+    let job = engine.submit(request).map_err(fail)?;
     let outcome = wait(job, args.quiet).map_err(fail)?;
     for warning in outcome.warnings() {
         note(format!("warning: {warning}"));
@@ -129,6 +197,10 @@ pub(super) fn run(args: &UpsampleArgs) -> Result<(), CliError> {
         note(format!("warning: the output's format has no place for {}", lost.join(", ")));
     }
     files::write_cloud(&args.output, format, &outcome.positions, &outcome.attributes, &origin)?;
+    if !format.holds_comments() && !files::is_stream(&args.output) {
+        let beside = files::beside(&args.output, PROVENANCE);
+        files::write(&beside, |sink| Ok(writeln!(sink, "{provenance}")?))?;
+    }
     note(format!(
         "{points_in} -> {} points in {:.1} s ({})",
         outcome.positions.len(),

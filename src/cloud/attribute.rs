@@ -167,6 +167,22 @@ impl Values {
         gathered!(I8, U8, I16, U16, I32, U32, I64, U64, F32, F64)
     }
 
+    /// Moves all numbers of `other` to the end of this column.
+    ///
+    /// # Panics
+    /// When they are of another type.
+    pub fn append(&mut self, other: &mut Self) {
+        macro_rules! appended {
+            ($($kind:ident),*) => {
+                match (self, other) {
+                    $((Self::$kind(column), Self::$kind(more)) => column.append(more),)*
+                    (column, more) => panic!("{:?} after {:?}", more.kind(), column.kind()),
+                }
+            };
+        }
+        appended!(I8, U8, I16, U16, I32, U32, I64, U64, F32, F64);
+    }
+
     /// Appends the number at the beginning of each of `rows`, in the byte order that `big` says.
     ///
     /// # Panics

@@ -161,16 +161,18 @@ fn run(queue: &Queue, workers: &Workers, task: &Task, work: Work) {
     let start = std::time::Instant::now();
     // A panic is a bug in one request; it must not take the thread, and the service, with it.
     let done = std::panic::catch_unwind(AssertUnwindSafe(|| {
-        let Request { cloud, target, settings, rules } = &request;
-        let dense = cascade::upsample(&cloud.positions, *target, settings, workers, &task.watch)?;
-        if cloud.attributes.is_empty() {
+        let Request { cloud, target, settings, finish } = &request;
+        let mut dense = cascade::upsample(&cloud.positions, *target, settings, workers, &task.watch)?;
+        if !finish.is_needed(cloud) {
             return Ok::<_, CascadeError>((dense, Vec::new()));
         }
         task.watch.begin(task.watch.progress().levels.saturating_sub(1), Stage::Attributes);
         let cancelled = || task.watch.cancelled();
-        let carry = || attributes::carry(cloud, &dense.positions, rules, &cancelled);
-        let carried = workers.install(task.lane, carry).ok_or(CascadeError::Cancelled)?;
-        Ok((dense, carried))
+        let made = std::mem::take(&mut dense.positions);
+        let work = || attributes::finish(cloud, made, finish, &cancelled);
+        let (positions, attributes) = workers.install(task.lane, work).ok_or(CascadeError::Cancelled)?;
+        dense.positions = positions;
+        Ok((dense, attributes))
     }));
     let outcome = match done {
         Ok(Ok((dense, attributes))) => {

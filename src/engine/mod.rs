@@ -14,7 +14,7 @@ use std::time::Duration;
 pub use job::{Job, Outcome, ProgressHandle};
 pub use progress::{Progress, StageTimes};
 
-use crate::attributes::Rules;
+use crate::attributes::Finish;
 use crate::backend::{Backend, BackendError, Lane, Model, OnnxBackend, Workers};
 use crate::cascade::{self, CascadeError, Settings, Silent, Target};
 use crate::cloud::{Cloud, Position};
@@ -29,8 +29,8 @@ pub struct Request {
     pub target: Target,
     /// How to run the cascade.
     pub settings: Settings,
-    /// How new points come by their attributes.
-    pub rules: Rules,
+    /// What is done with the cascade's points.
+    pub finish: Finish,
 }
 
 /// Sizes of the engine.

@@ -19,7 +19,7 @@ fn request(points: u32, ratio: f64) -> Request {
         cloud: positions.into(),
         target: Target::Ratio(ratio),
         settings: Settings::default(),
-        rules: Rules::default(),
+        finish: Finish::default(),
     }
 }
 

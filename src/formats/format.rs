@@ -1,9 +1,10 @@
 //! Names of formats, what a header says, and limits.
 
+use std::fmt;
 use std::path::Path;
 
 use super::writer::ply_header;
-use crate::cloud::{Attribute, Origin, bytes_a_point};
+use crate::cloud::{Attribute, Origin, Position, bytes_a_point};
 
 /// A file format and the choices within it. A reader reports it and a writer takes it, so that a
 /// cloud goes back in the form it came in.
@@ -163,6 +164,30 @@ impl Format {
         }
     }
 
+    /// This format with 64-bit coordinates where 32-bit ones would move points of `bounds` by more than a
+    /// hundredth of `spacing`: a cloud in UTM coordinates, say.
+    #[must_use]
+    pub fn fine_enough(self, bounds: [Position; 2], spacing: f64) -> Self {
+        let largest = bounds.as_flattened().iter().fold(0.0_f64, |most, c| most.max(c.abs()));
+        // Rounding moves a coordinate by half of the step between two floats at most.
+        let coarse = 0.5 * largest * f64::from(f32::EPSILON) > 0.01 * spacing;
+        match self {
+            Self::Ply { encoding, scalar: Scalar::F32 } if coarse => {
+                Self::Ply { encoding, scalar: Scalar::F64 }
+            }
+            other => other,
+        }
+    }
+
+    /// Whether it has a place for comments, and so for provenance.
+    #[must_use]
+    pub fn holds_comments(self) -> bool {
+        match self {
+            Self::Ply { .. } | Self::Las { .. } | Self::Pcd { .. } => true,
+            Self::Xyz { .. } => false,
+        }
+    }
+
     /// Whether [`CloudWriter`](super::CloudWriter) writes it in parts; if not, only
     /// [`encode`](super::encode) writes it, as a whole.
     #[must_use]
@@ -193,6 +218,25 @@ impl Format {
         lost
     }
 
+    /// The media types of all that is written; see [`Format::media_type`].
+    pub const MEDIA_TYPES: [&str; 4] = ["application/x-ply", "text/plain", "text/csv", "application/x-pcd"];
+
+    /// The format that a media type asks for, without parameters, in lower case; as
+    /// [`Format::from_extension`] has it.
+    #[must_use]
+    pub fn from_media_type(media_type: &str) -> Option<Self> {
+        let extension = match media_type {
+            "application/x-ply" | "application/ply" | "model/ply" => "ply",
+            "text/plain" => "xyz",
+            "text/csv" => "csv",
+            "application/vnd.las" => "las",
+            "application/vnd.laszip" => "laz",
+            "application/x-pcd" => "pcd",
+            _ => return None,
+        };
+        Self::from_extension(Path::new(&format!("cloud.{extension}")))
+    }
+
     /// The media type for HTTP. PLY and PCD have no registered one.
     #[must_use]
     pub fn media_type(self) -> &'static str {
@@ -217,6 +261,36 @@ impl Format {
                 points.checked_mul(3 * scalar.size() + bytes_a_point(attributes))?.checked_add(header)
             }
             Self::Xyz { .. } | Self::Las { .. } | Self::Pcd { .. } => None,
+        }
+    }
+}
+
+/// For people: `PLY (binary_little_endian, 32-bit)`.
+impl fmt::Display for Format {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Ply { encoding, scalar } => {
+                write!(f, "PLY ({}, {}-bit)", encoding.name(), 8 * scalar.size())
+            }
+            Self::Xyz { separator: Separator::Comma, .. } => f.write_str("text (commas)"),
+            Self::Xyz { separator: Separator::Semicolon, .. } => f.write_str("text (semicolons)"),
+            Self::Xyz { separator: Separator::Space, .. } => f.write_str("text"),
+            Self::Las { compressed: false } => f.write_str("LAS"),
+            Self::Las { compressed: true } => f.write_str("LAZ"),
+            Self::Pcd { encoding: PcdEncoding::Ascii } => f.write_str("PCD (ascii)"),
+            Self::Pcd { encoding: PcdEncoding::Binary } => f.write_str("PCD (binary)"),
+            Self::Pcd { encoding: PcdEncoding::Compressed } => f.write_str("PCD (binary_compressed)"),
+        }
+    }
+}
+
+impl PlyEncoding {
+    /// As in a header.
+    pub(super) fn name(self) -> &'static str {
+        match self {
+            Self::Ascii => "ascii",
+            Self::BinaryLittleEndian => "binary_little_endian",
+            Self::BinaryBigEndian => "binary_big_endian",
         }
     }
 }

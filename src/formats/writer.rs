@@ -166,11 +166,7 @@ pub(super) fn ply_header(
     attributes: &[Attribute],
     origin: &Origin,
 ) -> String {
-    let encoding = match encoding {
-        PlyEncoding::Ascii => "ascii",
-        PlyEncoding::BinaryLittleEndian => "binary_little_endian",
-        PlyEncoding::BinaryBigEndian => "binary_big_endian",
-    };
+    let encoding = encoding.name();
     let scalar = match scalar {
         Scalar::F32 => "float",
         Scalar::F64 => "double",

@@ -19,7 +19,7 @@ const FARTHEST: f64 = 0.3;
 /// sheets one spacing apart leave about 0.18, the noise of a cascade's outputs about 0.03.
 const POOR: f64 = 0.1;
 /// Terms of a quadratic height field over the tangent plane: 1, a, b, a^2, ab, b^2.
-const TERMS: usize = 6;
+pub(super) const TERMS: usize = 6;
 /// Queries a task: enough to hide what a task costs.
 const CHUNK: usize = 256;
 
@@ -162,7 +162,7 @@ fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
 }
 
 /// Two unit vectors across a unit normal and each other.
-fn tangents(n: [f64; 3]) -> ([f64; 3], [f64; 3]) {
+pub(super) fn tangents(n: [f64; 3]) -> ([f64; 3], [f64; 3]) {
     let cross = |a: [f64; 3], b: [f64; 3]| {
         [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
     };
@@ -177,7 +177,7 @@ fn tangents(n: [f64; 3]) -> ([f64; 3], [f64; 3]) {
 
 /// Solves `m x = y` for a symmetric positive definite `m` (lower triangle read) by Cholesky's
 /// factors; none when it is not positive definite.
-fn solve(mut m: [[f64; TERMS]; TERMS], mut y: [f64; TERMS]) -> Option<[f64; TERMS]> {
+pub(super) fn solve(mut m: [[f64; TERMS]; TERMS], mut y: [f64; TERMS]) -> Option<[f64; TERMS]> {
     for i in 0..TERMS {
         for j in 0..=i {
             let rest = m[i][j] - (0..j).map(|k| m[i][k] * m[j][k]).sum::<f64>();

@@ -39,6 +39,14 @@ pub fn estimate_normals(points: &[Point], k: usize) -> Vec<[f32; 3]> {
 
 /// The normal of one point whose nearest are `near`.
 pub(crate) fn normal(points: &[Point], near: &[Neighbour]) -> [f32; 3] {
+    let v = least_eigenvector(covariance(points, near));
+    let largest = (1..3).fold(0, |best, a| if v[a].abs() > v[best].abs() { a } else { best });
+    let sign = v[largest].signum();
+    v.map(|c| (sign * c) as f32)
+}
+
+/// The sums of products of deviations from the mean: upper triangle.
+pub(super) fn covariance(points: &[Point], near: &[Neighbour]) -> [[f64; 3]; 3] {
     let share = 1.0 / near.len().max(1) as f64;
     let at = |n: &Neighbour| points[n.index as usize].map(f64::from);
     let mut mean = [0.0; 3];
@@ -56,15 +64,18 @@ pub(crate) fn normal(points: &[Point], near: &[Neighbour]) -> [f32; 3] {
             }
         }
     }
-    let v = least_eigenvector(covariance);
-    let largest = (1..3).fold(0, |best, a| if v[a].abs() > v[best].abs() { a } else { best });
-    let sign = v[largest].signum();
-    v.map(|c| (sign * c) as f32)
+    covariance
 }
 
-/// The unit eigenvector of the smallest eigenvalue of a symmetric matrix, of which the upper
-/// triangle is read; cyclic Jacobi rotations, which are exact where eigenvalues are equal too.
-pub(super) fn least_eigenvector(mut m: [[f64; 3]; 3]) -> [f64; 3] {
+/// The unit eigenvector of the smallest eigenvalue.
+pub(super) fn least_eigenvector(m: [[f64; 3]; 3]) -> [f64; 3] {
+    let (values, vectors) = eigen(m);
+    vectors[(1..3).fold(0, |best, a| if values[a] < values[best] { a } else { best })]
+}
+
+/// The eigenvalues of a symmetric matrix, of which the upper triangle is read, and the unit eigenvector of
+/// each; cyclic Jacobi rotations, which are exact where eigenvalues are equal too.
+pub(super) fn eigen(mut m: [[f64; 3]; 3]) -> ([f64; 3], [[f64; 3]; 3]) {
     let mut vectors = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
     let scale = m[0][0] + m[1][1] + m[2][2];
     // Converges quadratically: six sweeps are more than 3 x 3 ever needs.
@@ -93,8 +104,8 @@ pub(super) fn least_eigenvector(mut m: [[f64; 3]; 3]) -> [f64; 3] {
             }
         }
     }
-    let least = (1..3).fold(0, |best, a| if m[a][a] < m[best][best] { a } else { best });
-    [vectors[0][least], vectors[1][least], vectors[2][least]]
+    let values = [m[0][0], m[1][1], m[2][2]];
+    (values, std::array::from_fn(|i| [vectors[0][i], vectors[1][i], vectors[2][i]]))
 }
 
 #[cfg(test)]

@@ -15,7 +15,6 @@ use super::budget::Budget;
 use super::config::Config;
 use super::metrics::Metrics;
 use super::problem::Problem;
-use super::query::Parameters;
 use super::readiness::Readiness;
 use super::{record, upsample};
 use crate::engine::Engine;
@@ -44,16 +43,15 @@ impl App {
         })
     }
 
-    /// Checks points in, and what they would give, against the limits.
+    /// Checks points in, and the result's, against the limits.
     ///
     /// # Errors
     /// [`Problem::TooManyPointsIn`] or [`Problem::TooManyPointsOut`].
-    pub(super) fn check_points(&self, points_in: u64, parameters: &Parameters) -> Result<(), Problem> {
+    pub(super) fn check_points(&self, points_in: u64, points_out: u64) -> Result<(), Problem> {
         let limits = &self.config.limits;
         if points_in > limits.points_in {
             return Err(Problem::TooManyPointsIn { points: points_in, limit: limits.points_in });
         }
-        let points_out = parameters.points_out(points_in);
         if points_out > limits.points_out {
             return Err(Problem::TooManyPointsOut { points: points_out, limit: limits.points_out });
         }

@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use super::download::result_bytes;
+use crate::backend::ModelName;
 use crate::formats::Format;
 
 /// All settings of a server. [`Config::default`] suits one machine behind a reverse proxy.
@@ -49,10 +50,8 @@ pub struct Timeouts {
 /// The model as `/metrics` names it.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct ModelInfo {
-    /// Name on the model's card.
-    pub name: String,
-    /// SHA-256 of the weights, in hexadecimal.
-    pub sha256: String,
+    /// Its name and its weights.
+    pub name: ModelName,
     /// Where it runs: `cpu`, for example.
     pub provider: String,
 }
@@ -104,7 +103,7 @@ impl Config {
         }
         for (setting, bytes) in [
             ("--max-body-bytes", body_bytes),
-            ("--max-points-out", result_bytes(points_out, &[], Format::TEXT)),
+            ("--max-points-out", result_bytes(points_out, 0, Format::TEXT)),
         ] {
             if bytes > held_bytes {
                 return Err(ConfigError::HeldTooSmall { setting, bytes, held: held_bytes });

@@ -81,8 +81,8 @@ impl Metrics {
         };
         metrics.requests("ok").increment(0);
         let labels = vec![
-            Label::new("model", model.name.clone()),
-            Label::new("sha256", model.sha256.clone()),
+            Label::new("model", model.name.name.clone()),
+            Label::new("sha256", model.name.sha256.clone()),
             Label::new("provider", model.provider.clone()),
         ];
         metrics.recorder.register_gauge(&Key::from_parts(MODEL, labels), &METADATA).set(1.0);
@@ -142,10 +142,14 @@ impl std::fmt::Debug for Metrics {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::backend::ModelName;
 
     #[test]
     fn the_page_has_every_series_from_the_start_and_counts_what_happens() {
-        let model = ModelInfo { name: "default".into(), sha256: "ab12".into(), provider: "cpu".into() };
+        let model = ModelInfo {
+            name: ModelName { name: "default".into(), sha256: "ab12".into() },
+            provider: "cpu".into(),
+        };
         let metrics = Metrics::new(&model).expect("metrics");
         let page = metrics.render(0, 0);
         for line in [

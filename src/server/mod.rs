@@ -17,6 +17,7 @@
 //! client that leaves stops it.
 
 mod accept;
+mod accepted;
 mod activity;
 mod app;
 mod budget;

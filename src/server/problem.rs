@@ -14,6 +14,7 @@ use serde::Serialize;
 use crate::cascade::CascadeError;
 use crate::engine::EngineError;
 use crate::formats::FormatError;
+use crate::survey::GoalError;
 
 /// Why a request is not answered with a cloud.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -84,6 +85,15 @@ pub(super) enum Problem {
     /// In no format that is read.
     #[error("{0}")]
     UnsupportedFormat(String),
+    /// The client takes no format that is written.
+    #[error(
+        "Accept: {wanted}: none of these is written; there are {}, or */* for the format of the input",
+        crate::formats::Format::MEDIA_TYPES.join(", ")
+    )]
+    NotAcceptable {
+        /// The header.
+        wanted: String,
+    },
     /// The body is compressed.
     #[error("Content-Encoding {0:?} is not supported; send the body as it is")]
     UnsupportedEncoding(String),
@@ -175,6 +185,11 @@ impl From<CascadeError> for Problem {
 }
 
 impl Problem {
+    /// A wish for spacing or density that cannot be met by this cloud.
+    pub(super) fn from_goal(error: GoalError) -> Self {
+        Self::Impossible(error.to_string())
+    }
+
     /// What the engine's refusal or failure is to a client; `retry_after` is its backlog.
     pub(super) fn from_engine(error: EngineError, retry_after: Duration) -> Self {
         match error {
@@ -249,6 +264,9 @@ impl Problem {
             ),
             Self::UnsupportedFormat(_) => {
                 (S::UNSUPPORTED_MEDIA_TYPE, "unsupported-format", "Not a format that is read", None)
+            }
+            Self::NotAcceptable { .. } => {
+                (S::NOT_ACCEPTABLE, "not-acceptable", "No format that the client takes", None)
             }
             Self::UnsupportedEncoding(_) => {
                 (S::UNSUPPORTED_MEDIA_TYPE, "unsupported-encoding", "The body is compressed", None)

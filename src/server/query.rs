@@ -4,18 +4,20 @@ use axum::extract::Query;
 use axum::http::Uri;
 
 use super::problem::Problem;
-use crate::attributes::{Rules, RulesError};
+use crate::attributes::{Finish, Rules, RulesError};
 use crate::cascade::{MAX_RATIO, Target};
+use crate::cloud::Position;
+use crate::survey::Goal;
 
 /// What a request asks for, in the query of its URI.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Parameters {
-    /// `ratio` or `points`.
-    pub(super) target: Target,
+    /// `ratio`, `points`, `spacing` or `density`.
+    pub(super) goal: Goal,
     /// `seed`; the same default as the command line's when absent.
     pub(super) seed: Option<u64>,
-    /// `attributes`: how new points come by them.
-    pub(super) rules: Rules,
+    /// `attributes`, `keep_input`, `source_fields`, `normals` and `sensor`.
+    pub(super) finish: Finish,
 }
 
 impl Parameters {
@@ -27,49 +29,91 @@ impl Parameters {
     pub(super) fn parse(uri: &Uri) -> Result<Self, Problem> {
         let Query(pairs) = Query::<Vec<(String, String)>>::try_from_uri(uri)
             .map_err(|error| Problem::parameter("query", error.to_string()))?;
-        let (mut ratio, mut points, mut seed, mut rules) = (None, None, None, None);
-        for (name, value) in pairs {
-            let twice = match name.as_str() {
-                "ratio" => ratio.replace(parse_ratio(&value)?).is_some(),
-                "points" => points.replace(parse_points(&value)?).is_some(),
-                "seed" => seed.replace(parse_seed(&value)?).is_some(),
-                "attributes" => rules.replace(parse_rules(&value)?).is_some(),
+        let (mut goals, mut seed, mut finish) = (Vec::new(), None, Finish::default());
+        for (i, (name, value)) in pairs.iter().enumerate() {
+            if pairs[..i].iter().any(|(earlier, _)| earlier == name) {
+                return Err(Problem::parameter(name, "given twice".into()));
+            }
+            match name.as_str() {
+                "ratio" => goals.push((name, Goal::Target(Target::Ratio(parse_ratio(value)?)))),
+                "points" => goals.push((name, Goal::Target(Target::Points(parse_points(value)?)))),
+                "spacing" => goals.push((name, Goal::Spacing(parse_positive(name, value)?))),
+                "density" => goals.push((name, Goal::Density(parse_positive(name, value)?))),
+                "seed" => seed = Some(parse_seed(value)?),
+                "attributes" => finish.rules = parse_rules(value)?,
+                "keep_input" => finish.keep_input = parse_switch(name, value)?,
+                "source_fields" => finish.source_fields = parse_switch(name, value)?,
+                "normals" => finish.estimate_normals = parse_normals(value)?,
+                "sensor" => finish.sensor = Some(parse_sensor(value)?),
                 _ => {
-                    return Err(Problem::parameter(
-                        &name,
-                        "unknown; there are ratio, points, seed and attributes".into(),
-                    ));
+                    let why = "unknown; there are ratio, points, spacing, density, seed, attributes, keep_input, \
+                               source_fields, normals and sensor";
+                    return Err(Problem::parameter(name, why.into()));
                 }
-            };
-            if twice {
-                return Err(Problem::parameter(&name, "given twice".into()));
             }
         }
-        let target = match (ratio, points) {
-            (Some(ratio), None) => Target::Ratio(ratio),
-            (None, Some(points)) => Target::Points(points),
-            (Some(_), Some(_)) => {
-                return Err(Problem::parameter("points", "give either ratio or points, not both".into()));
+        let goal = match goals[..] {
+            [(_, goal)] => goal,
+            [_, (second, _), ..] => {
+                let why = "give one of ratio, points, spacing and density";
+                return Err(Problem::parameter(second, why.into()));
             }
-            (None, None) => {
-                return Err(Problem::parameter(
-                    "ratio",
-                    "missing; give ratio=R (1 to 64) or points=N".into(),
-                ));
+            [] => {
+                let why = "missing; give ratio=R (1 to 64), points=N, spacing=D or density=N";
+                return Err(Problem::parameter("ratio", why.into()));
             }
         };
-        Ok(Self { target, seed, rules: rules.unwrap_or_default() })
+        Ok(Self { goal, seed, finish })
     }
 
     /// Points in the result for so many points in; unlike [`Target::points_out`], also for a claim that
-    /// no cloud could meet.
+    /// no cloud could meet. For a spacing or a density, which only the points themselves decide, the
+    /// least that it can be.
     pub(super) fn points_out(&self, points_in: u64) -> u64 {
-        match self.target {
-            // Saturates, so a claim of 2^64 points is just a number that is too large.
-            Target::Ratio(ratio) => (points_in as f64 * ratio).round() as u64,
-            Target::Points(points) => points,
+        match self.goal {
+            Goal::Target(target) => points_out(target, points_in),
+            Goal::Spacing(_) | Goal::Density(_) => points_in,
         }
     }
+}
+
+/// As [`Parameters::points_out`].
+pub(super) fn points_out(target: Target, points_in: u64) -> u64 {
+    match target {
+        // Saturates, so a claim of 2^64 points is just a number that is too large.
+        Target::Ratio(ratio) => (points_in as f64 * ratio).round() as u64,
+        Target::Points(points) => points,
+    }
+}
+
+fn parse_positive(name: &str, value: &str) -> Result<f64, Problem> {
+    match value.parse() {
+        Ok(number) if f64::is_finite(number) && number > 0.0 => Ok(number),
+        _ => Err(Problem::parameter(name, format!("{value:?} is not a positive number"))),
+    }
+}
+
+fn parse_switch(name: &str, value: &str) -> Result<bool, Problem> {
+    match value {
+        "true" | "1" | "" => Ok(true),
+        "false" | "0" => Ok(false),
+        _ => Err(Problem::parameter(name, format!("{value:?} is neither true nor false"))),
+    }
+}
+
+fn parse_normals(value: &str) -> Result<bool, Problem> {
+    match value {
+        "estimate" => Ok(true),
+        _ => Err(Problem::parameter("normals", format!("{value:?}; there is `estimate`"))),
+    }
+}
+
+fn parse_sensor(value: &str) -> Result<Position, Problem> {
+    let numbers: Option<Vec<f64>> =
+        value.split(',').map(|n| n.parse().ok().filter(|n: &f64| n.is_finite())).collect();
+    numbers
+        .and_then(|n| n.try_into().ok())
+        .ok_or_else(|| Problem::parameter("sensor", format!("{value:?} is not three numbers X,Y,Z")))
 }
 
 fn parse_ratio(value: &str) -> Result<f64, Problem> {
@@ -113,8 +157,25 @@ mod tests {
             ("?ratio=%31%36", Target::Ratio(16.0), None),
         ];
         for (query, target, seed) in cases {
-            assert_eq!(parse(query), Ok(Parameters { target, seed, rules: Rules::default() }), "{query}");
+            let parameters = Parameters { goal: Goal::Target(target), seed, finish: Finish::default() };
+            assert_eq!(parse(query), Ok(parameters), "{query}");
         }
+    }
+
+    #[test]
+    fn other_goals_and_what_is_done_with_points_are_read() {
+        let all = parse("?spacing=0.5&keep_input=true&source_fields&normals=estimate&sensor=1,-2,3e1")
+            .expect("parameters");
+        let finish = Finish {
+            keep_input: true,
+            source_fields: true,
+            estimate_normals: true,
+            sensor: Some([1.0, -2.0, 30.0]),
+            ..Finish::default()
+        };
+        assert_eq!(all, Parameters { goal: Goal::Spacing(0.5), seed: None, finish });
+        assert_eq!(parse("?density=7").expect("parameters").goal, Goal::Density(7.0));
+        assert_eq!(parse("?density=7").expect("parameters").points_out(9), 9);
     }
 
     #[test]
@@ -137,7 +198,15 @@ mod tests {
             ("?ratio=4&ration=4", "ration"),
             ("?Ratio=4", "Ratio"),
             ("?ratio=4&attributes=red", "attributes"),
+            ("?ratio=4&spacing=8", "spacing"),
+            ("?spacing=0", "spacing"),
+            ("?density=inf", "density"),
+            ("?ratio=4&keep_input=maybe", "keep_input"),
+            ("?ratio=4&normals=yes", "normals"),
+            ("?ratio=4&sensor=1,2", "sensor"),
+            ("?ratio=4&sensor=1,2,nan", "sensor"),
             ("?ratio=4&attributes=red:drop,red:mean", "attributes"),
+            ("?ratio=4&attributes=red:drop&attributes=red:drop", "attributes"),
         ] {
             match parse(query) {
                 Err(Problem::Parameter { name: found, .. }) => assert_eq!(found, name, "{query}"),
@@ -148,14 +217,11 @@ mod tests {
 
     #[test]
     fn points_out_are_the_cascades_own_and_saturate() {
-        let ratio = |ratio| Parameters { target: Target::Ratio(ratio), seed: None, rules: Rules::default() };
-        assert_eq!(ratio(4.0).points_out(10), 40);
         for points_in in 1..200 {
             let expected = Target::Ratio(1.37).points_out(points_in).expect("a size");
-            assert_eq!(ratio(1.37).points_out(points_in), expected);
+            assert_eq!(points_out(Target::Ratio(1.37), points_in), expected);
         }
-        assert_eq!(ratio(64.0).points_out(u64::MAX), u64::MAX);
-        let points = Parameters { target: Target::Points(9), seed: None, rules: Rules::default() };
-        assert_eq!(points.points_out(3), 9);
+        assert_eq!(points_out(Target::Ratio(64.0), u64::MAX), u64::MAX);
+        assert_eq!(points_out(Target::Points(9), 3), 9);
     }
 }

@@ -167,7 +167,10 @@ fn header_is_there(bytes: &[u8], new: usize) -> bool {
 /// Refuses from the first bytes alone what could only be refused later.
 fn check_header(bytes: &[u8], app: &App, parameters: &Parameters) -> Result<(), Problem> {
     match CloudReader::open(bytes, reader_limits(app)) {
-        Ok(reader) => reader.header().points.map_or(Ok(()), |points| app.check_points(points, parameters)),
+        Ok(reader) => reader
+            .header()
+            .points
+            .map_or(Ok(()), |points| app.check_points(points, parameters.points_out(points))),
         // Text is cut off somewhere here, so only the whole of it can be judged.
         Err(FormatError::Malformed { .. } | FormatError::Truncated { .. } | FormatError::Empty(_))
             if !is_ply(bytes) =>

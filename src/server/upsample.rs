@@ -1,4 +1,4 @@
-//! `POST /upsample`: a cloud in, a dense cloud out.
+//! `POST /upsample`: a cloud in, a dense cloud out, in the format of the input or one that `Accept` names.
 
 use std::fmt::Write;
 use std::sync::Arc;
@@ -11,17 +11,20 @@ use axum::response::{IntoResponse, Response};
 use tokio::task::spawn_blocking;
 use tokio::time::timeout;
 
+use super::accepted::accepted;
 use super::app::App;
 use super::budget::Held;
 use super::download::{self, Dense, result_bytes};
 use super::problem::Problem;
-use super::query::Parameters;
+use super::query::{self, Parameters};
 use super::record::Points;
 use super::upload::{Received, Upload};
 use crate::cascade::Settings;
-use crate::cloud::Origin;
+use crate::cloud::{Origin, bytes_a_point};
 use crate::engine::{Job, Request};
 use crate::formats::Format;
+use crate::provenance;
+use crate::survey::{self, Survey};
 
 /// The handler. A client that leaves drops this future at one of its waits, with it the job, and so
 /// stops the work.
@@ -47,18 +50,19 @@ async fn answer(
 ) -> Result<Response, Problem> {
     app.readiness.check()?;
     let parameters = Parameters::parse(uri)?;
+    let wanted = accepted(headers)?;
     let received = upload.receive(headers, app, &parameters).await?;
     let mut timing = Timing::default();
     timing.add(app, "upload", received.took);
     let start = Instant::now();
     let submit = {
         let app = Arc::clone(app);
-        spawn_blocking(move || submit(&app, received, &parameters))
+        spawn_blocking(move || submit(&app, received, &parameters, wanted))
     };
     let submitted = submit.await.map_err(|error| Problem::Internal(error.to_string()))??;
     timing.add(app, "parse", start.elapsed());
     let start = Instant::now();
-    let Submitted { job, held, format, origin, points_in, mut warnings } = submitted;
+    let Submitted { job, held, format, origin, provenance, points_in, mut warnings } = submitted;
     let outcome = job.await.map_err(|error| Problem::from_engine(error, app.engine.retry_after()))?;
     warnings.extend(outcome.warnings());
     timing.add(app, "queue", start.elapsed().saturating_sub(outcome.stages.total()));
@@ -81,6 +85,7 @@ async fn answer(
     }
     headers.insert("densecloud-points-in", points.read.into());
     headers.insert("densecloud-points-out", points.made.into());
+    headers.insert("densecloud-provenance", visible(&provenance));
     headers.insert("server-timing", visible(&timing.0));
     for warning in warnings {
         headers.append("densecloud-warning", visible(&warning));
@@ -96,18 +101,33 @@ struct Submitted {
     held: Held,
     format: Format,
     origin: Origin,
+    provenance: String,
     points_in: u64,
     /// What its sender should know about how it was read.
     warnings: Vec<String>,
 }
 
 /// Blocking work: parses the body and queues the cloud.
-fn submit(app: &App, received: Received, parameters: &Parameters) -> Result<Submitted, Problem> {
-    let (cloud, format) = received.parse(app)?;
+fn submit(
+    app: &App,
+    received: Received,
+    parameters: &Parameters,
+    wanted: Option<Format>,
+) -> Result<Submitted, Problem> {
+    let (cloud, input) = received.parse(app)?;
     let points_in = cloud.positions.len() as u64;
-    app.check_points(points_in, parameters)?;
-    let points = parameters.points_out(points_in);
-    let room = result_bytes(points, &cloud.attributes, format);
+    app.check_points(points_in, parameters.points_out(points_in))?;
+    let target = parameters.goal.target(&cloud.positions).map_err(Problem::from_goal)?;
+    let points = query::points_out(target, points_in);
+    app.check_points(points_in, points)?;
+    let mut warnings = cloud.warnings();
+    let mut format = Format::of_result(wanted, input, !cloud.attributes.is_empty());
+    if let Ok(survey) = Survey::of(&cloud.positions, survey::GLANCE) {
+        warnings.extend(survey.warnings());
+        format = format.fine_enough(survey.bounds, survey.result_spacing(points));
+    }
+    let finish = parameters.finish.clone();
+    let room = result_bytes(points, bytes_a_point(&cloud.attributes) + finish.bytes_a_point(), format);
     let limit = app.config.limits.held_bytes;
     if room > limit {
         return Err(Problem::ResultTooLarge { points, bytes: room, limit });
@@ -118,16 +138,17 @@ fn submit(app: &App, received: Received, parameters: &Parameters) -> Result<Subm
         settings.seed = seed;
     }
     let names: Vec<&str> = cloud.attributes.iter().map(|a| a.name.as_str()).collect();
-    if let Some(unknown) = parameters.rules.unknown(&names).next() {
+    if let Some(unknown) = finish.rules.unknown(&names).next() {
         let why = format!("the cloud has no attribute {unknown:?}; it has {}", names.join(", "));
         return Err(Problem::parameter("attributes", why));
     }
-    let warnings = cloud.warnings();
-    let origin = cloud.origin.clone();
-    let request = Request { cloud, target: parameters.target, settings, rules: parameters.rules.clone() };
+    let mut origin = cloud.origin.clone();
+    let request = Request { cloud, target, settings, finish };
+    let provenance = provenance::line(&app.config.model.name, &request);
+    origin.comments.push(provenance.clone());
     let job =
         app.engine.submit(request).map_err(|error| Problem::from_engine(error, app.engine.retry_after()))?;
-    Ok(Submitted { job, held, format, origin, points_in, warnings })
+    Ok(Submitted { job, held, format, origin, provenance, points_in, warnings })
 }
 
 /// The longest value of a header of ours; names of properties are the client's to choose.

@@ -1,11 +1,11 @@
 //! What goes well.
 
+use densecloud::backend::ModelName;
 use densecloud::cascade::Target;
-use densecloud::cloud::Origin;
-use densecloud::formats::{Format, PlyEncoding, Scalar};
+use densecloud::formats::{CloudReader, Format, Limits, PlyEncoding, Scalar, Separator};
 use densecloud::server::{Config, ModelInfo};
 
-use crate::support::{PLY, Reply, Scripted, Server, cloud, dense, encode};
+use crate::support::{PLY, Reply, Scripted, Server, cloud, dense, encode, encode_result};
 
 #[test]
 fn the_answer_is_the_librarys_own_result_in_the_format_of_the_request() {
@@ -20,14 +20,16 @@ fn the_answer_is_the_librarys_own_result_in_the_format_of_the_request() {
         let reply = server.post(&format!("/upsample?{query}"), &encode(&cloud(300), format));
         assert_eq!(reply.status, 200, "{query}: {}", reply.text());
         let expected = dense(cloud(300), target, seed);
-        assert!(reply.body == encode(&expected, format), "{format:?} {query}");
+        assert!(reply.body == encode_result(&expected, format, &reply), "{format:?} {query}");
         assert_eq!(reply.header("content-type"), Some(format.media_type()));
         assert_eq!(reply.header("densecloud-points-in"), Some("300"));
         assert_eq!(reply.header("densecloud-points-out"), Some(expected.len().to_string().as_str()));
         assert_eq!(reply.header("densecloud-warning"), None);
-        let length = format
-            .encoded_len(expected.len() as u64, &[], &Origin::default())
-            .map(|length| length.to_string());
+        let binary = matches!(
+            format,
+            Format::Ply { encoding: PlyEncoding::BinaryBigEndian | PlyEncoding::BinaryLittleEndian, .. }
+        );
+        let length = binary.then(|| reply.body.len().to_string());
         assert_eq!(reply.header("content-length"), length.as_deref(), "told where it is known");
         let timing = reply.header("server-timing").expect("timing");
         for stage in ["upload", "parse", "queue", "seeds", "patches", "units", "resample"] {
@@ -123,7 +125,68 @@ fn a_body_without_a_length_is_taken_in_pieces() {
     }
     client.send(b"0\r\n\r\n");
     let reply = client.reply();
-    assert!(reply.body == encode(&dense(cloud(100), Target::Ratio(2.0), 0), PLY), "{}", reply.status);
+    let expected = dense(cloud(100), Target::Ratio(2.0), 0);
+    assert!(reply.body == encode_result(&expected, PLY, &reply), "{}", reply.status);
+}
+
+#[test]
+fn the_accept_header_chooses_the_format() {
+    let server = Server::start(&Scripted::new(), Config::default());
+    let ask = |accept: &str| {
+        let body = encode(&cloud(100), PLY);
+        let mut client = server.connect();
+        let head = format!(
+            "POST /upsample?ratio=2 HTTP/1.1\r\nhost: x\r\nconnection: close\r\naccept: {accept}\r\n\
+             content-length: {}\r\n\r\n",
+            body.len()
+        );
+        client.send(head.as_bytes());
+        client.send(&body);
+        client.reply()
+    };
+    let csv = Format::Xyz { names: false, separator: Separator::Comma };
+    for (accept, format) in
+        [("text/csv", csv), ("text/html, */*;q=0.8", PLY), ("text/csv;q=0.1, model/ply", PLY)]
+    {
+        let reply = ask(accept);
+        assert_eq!(
+            (reply.status, reply.header("content-type")),
+            (200, Some(format.media_type())),
+            "{accept}"
+        );
+        let expected = dense(cloud(100), Target::Ratio(2.0), 0);
+        assert!(reply.body == encode_result(&expected, format, &reply), "{accept}");
+    }
+    let refused = ask("text/html");
+    assert_eq!((refused.status, refused.problem_name().as_str()), (406, "not-acceptable"));
+    assert_eq!(server.engine.queued_points(), 0);
+}
+
+#[test]
+fn the_input_can_be_kept_and_a_spacing_asked_for() {
+    let server = Server::start(&Scripted::new(), Config::default());
+    let body = encode(&cloud(300), PLY);
+    let reply = server.post("/upsample?ratio=4&keep_input=true&source_fields=true", &body);
+    let kept = CloudReader::open(&reply.body[..], Limits::default()).unwrap().read().unwrap();
+    assert_eq!(kept.positions.len(), 1200);
+    assert_eq!(kept.positions[..300], cloud(300));
+    assert_eq!(
+        kept.attributes.iter().map(|a| a.name.as_str()).collect::<Vec<_>>(),
+        ["source_index", "is_generated"]
+    );
+    // The sphere's area is 4 pi.
+    let reply = server.post("/upsample?density=100", &body);
+    let points: f64 = reply.header("densecloud-points-out").expect("points").parse().expect("a number");
+    assert!((points / 1256.6 - 1.0).abs() < 0.05, "{points}");
+    let refused = server.post("/upsample?spacing=1e-9", &body);
+    assert_eq!((refused.status, refused.problem_name().as_str()), (422, "impossible-cloud"));
+    let config = Config {
+        limits: densecloud::server::Limits { points_out: 1000, ..Default::default() },
+        ..Config::default()
+    };
+    let small = Server::start(&Scripted::new(), config);
+    let refused = small.post("/upsample?density=100", &body);
+    assert_eq!((refused.status, refused.problem_name().as_str()), (413, "too-many-points-out"));
 }
 
 #[test]
@@ -131,7 +194,7 @@ fn one_connection_serves_one_request_after_another() {
     let server = Server::start(&Scripted::new(), Config::default());
     let mut client = server.connect();
     let body = encode(&cloud(100), PLY);
-    let expected = encode(&dense(cloud(100), Target::Ratio(2.0), 0), PLY);
+    let expected = dense(cloud(100), Target::Ratio(2.0), 0);
     for _ in 0..3 {
         let head =
             format!("POST /upsample?ratio=2 HTTP/1.1\r\nhost: x\r\ncontent-length: {}\r\n\r\n", body.len());
@@ -144,7 +207,7 @@ fn one_connection_serves_one_request_after_another() {
                 break reply;
             }
         };
-        assert!(reply.body == expected);
+        assert!(reply.body == encode_result(&expected, PLY, &reply));
     }
 }
 
@@ -162,7 +225,8 @@ fn a_requests_id_comes_back_and_is_made_where_there_is_none() {
 
 #[test]
 fn metrics_tell_what_happened() {
-    let model = ModelInfo { name: "m".into(), sha256: "ab".into(), provider: "cpu".into() };
+    let model =
+        ModelInfo { name: ModelName { name: "m".into(), sha256: "ab".into() }, provider: "cpu".into() };
     let server = Server::start(&Scripted::new(), Config { model, ..Config::default() });
     server.post("/upsample?ratio=4", &encode(&cloud(100), PLY));
     server.post("/upsample?ratio=99", &encode(&cloud(100), PLY));

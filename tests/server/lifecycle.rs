@@ -6,7 +6,7 @@ use densecloud::cascade::Target;
 use densecloud::engine::EngineConfig;
 use densecloud::server::{Config, ServeError};
 
-use crate::support::{PLY, Reply, Scripted, Server, cloud, dense, encode, wait_until};
+use crate::support::{PLY, Reply, Scripted, Server, cloud, dense, encode, encode_result, wait_until};
 
 #[test]
 fn a_server_is_alive_at_once_and_ready_after_its_warm_up() {
@@ -57,7 +57,8 @@ fn a_stopping_server_says_so_finishes_what_it_has_and_ends() {
     assert_eq!((refused.status, refused.problem_name().as_str()), (503, "draining"));
     backend.open();
     let reply = client.reply();
-    assert!(reply.body == encode(&dense(cloud(100), Target::Ratio(4.0), 0), PLY), "{}", reply.status);
+    let expected = dense(cloud(100), Target::Ratio(4.0), 0);
+    assert!(reply.body == encode_result(&expected, PLY, &reply), "{}", reply.status);
     assert!(server.join().is_ok());
     assert!(std::net::TcpStream::connect(server.address).is_err(), "the port is free");
 }

@@ -6,10 +6,10 @@ use std::sync::{Arc, Condvar, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use densecloud::attributes::Rules;
+use densecloud::attributes::Finish;
 use densecloud::backend::{Backend, BackendError, Batch, Fake, Output, Session, UnitShape};
 use densecloud::cascade::{Settings, Target};
-use densecloud::cloud::Position;
+use densecloud::cloud::{Origin, Position};
 use densecloud::engine::{Engine, EngineConfig, Request};
 use densecloud::formats::{CloudWriter, Format, PlyEncoding, Scalar};
 use densecloud::server::{self, Config, ServeError};
@@ -331,12 +331,19 @@ pub(crate) fn encode(positions: &[Position], format: Format) -> Vec<u8> {
     writer.finish().unwrap()
 }
 
+/// As [`encode`], with the line of provenance that a reply names.
+pub(crate) fn encode_result(positions: &[Position], format: Format, reply: &Reply) -> Vec<u8> {
+    let provenance = reply.header("densecloud-provenance").expect("provenance").to_owned();
+    let origin = Origin { comments: vec![provenance], ..Origin::default() };
+    densecloud::formats::encode(Vec::new(), format, positions, &[], &origin).unwrap()
+}
+
 /// What the library gives, without a server.
 pub(crate) fn dense(positions: Vec<Position>, target: Target, seed: u64) -> Vec<Position> {
     let sizes = EngineConfig { threads: 1, ..Default::default() };
     let engine = Engine::with_backend(Arc::new(Fake::new()), sizes).unwrap();
     let settings = Settings { seed, ..Default::default() };
-    let request = Request { cloud: positions.into(), target, settings, rules: Rules::default() };
+    let request = Request { cloud: positions.into(), target, settings, finish: Finish::default() };
     engine.submit(request).unwrap().wait().unwrap().positions
 }
 
