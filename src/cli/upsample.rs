@@ -90,7 +90,7 @@ pub(super) fn run(args: &UpsampleArgs) -> Result<(), CliError> {
     let start = Instant::now();
     let (cloud, header) = files::read_cloud(&args.input)?;
     let format = Format::of_result(wanted, header.format, !cloud.attributes.is_empty());
-    let origin = cloud.origin.clone();
+    let mut origin = cloud.origin.clone();
     let note = |text: String| {
         if !args.quiet {
             eprintln!("densecloud: {text}");
@@ -98,6 +98,10 @@ pub(super) fn run(args: &UpsampleArgs) -> Result<(), CliError> {
     };
     for warning in cloud.warnings() {
         note(format!("warning: {warning}"));
+    }
+    let references = origin.drop_references();
+    if !references.is_empty() {
+        note(format!("warning: not carried over: {} (about the input's points)", references.join(", ")));
     }
 
     let points_in = cloud.positions.len();

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use super::writer::ply_header;
-use crate::cloud::{Attribute, Origin, bytes_a_point};
+use crate::cloud::{Attribute, Origin, Table, bytes_a_point};
 
 /// A file format and the choices within it. A reader reports it and a writer takes it, so that a
 /// cloud goes back in the form it came in.
@@ -88,8 +88,8 @@ pub struct Header {
     pub points: Option<u64>,
     /// What the file tells of each point beside its position, by name, in the file's order.
     pub attributes: Vec<String>,
-    /// What the file holds and will be dropped: lists of vertices, and other elements by their names
-    /// (`face`), in the file's order.
+    /// What the file holds and will be dropped: lists of vertices, fields of several numbers, elements
+    /// without properties, in the file's order.
     pub dropped_properties: Vec<String>,
 }
 
@@ -214,7 +214,9 @@ impl Format {
             Self::Ply { encoding: PlyEncoding::Ascii, .. } => None,
             Self::Ply { encoding, scalar } => {
                 let header = ply_header(encoding, scalar, points, attributes, origin).len() as u64;
-                points.checked_mul(3 * scalar.size() + bytes_a_point(attributes))?.checked_add(header)
+                let tables = origin.tables.iter().map(Table::bytes).sum::<u64>();
+                let rows = points.checked_mul(3 * scalar.size() + bytes_a_point(attributes))?;
+                rows.checked_add(header)?.checked_add(tables)
             }
             Self::Xyz { .. } | Self::Las { .. } | Self::Pcd { .. } => None,
         }

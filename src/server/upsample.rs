@@ -19,7 +19,7 @@ use super::query::Parameters;
 use super::record::Points;
 use super::upload::{Received, Upload};
 use crate::cascade::Settings;
-use crate::cloud::Origin;
+use crate::cloud::{Origin, Table};
 use crate::engine::{Job, Request};
 use crate::formats::Format;
 
@@ -107,7 +107,14 @@ fn submit(app: &App, received: Received, parameters: &Parameters) -> Result<Subm
     let points_in = cloud.positions.len() as u64;
     app.check_points(points_in, parameters)?;
     let points = parameters.points_out(points_in);
-    let room = result_bytes(points, &cloud.attributes, format);
+    let mut warnings = cloud.warnings();
+    let mut origin = cloud.origin.clone();
+    let references = origin.drop_references();
+    if !references.is_empty() {
+        warnings.push(format!("not carried over: {} (about the input's points)", references.join(", ")));
+    }
+    let tables = origin.tables.iter().map(Table::bytes).sum();
+    let room = result_bytes(points, &cloud.attributes, format).saturating_add(tables);
     let limit = app.config.limits.held_bytes;
     if room > limit {
         return Err(Problem::ResultTooLarge { points, bytes: room, limit });
@@ -122,8 +129,6 @@ fn submit(app: &App, received: Received, parameters: &Parameters) -> Result<Subm
         let why = format!("the cloud has no attribute {unknown:?}; it has {}", names.join(", "));
         return Err(Problem::parameter("attributes", why));
     }
-    let warnings = cloud.warnings();
-    let origin = cloud.origin.clone();
     let request = Request { cloud, target: parameters.target, settings, rules: parameters.rules.clone() };
     let job =
         app.engine.submit(request).map_err(|error| Problem::from_engine(error, app.engine.retry_after()))?;
