@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use super::npy;
 use super::writer::ply_header;
 use crate::cloud::{Attribute, Origin, Table, bytes_a_point};
 
@@ -33,6 +34,14 @@ pub enum Format {
     Pcd {
         /// How numbers are stored.
         encoding: PcdEncoding,
+    },
+    /// NumPy's `.npy`, written little-endian, a point a row.
+    Npy {
+        /// The type of the coordinates.
+        scalar: Scalar,
+        /// Whether attributes are fields with names and types of their own; without, they are further
+        /// columns of the table that the coordinates are in, of the same type.
+        fields: bool,
     },
 }
 
@@ -105,7 +114,8 @@ pub struct Limits {
 impl Format {
     /// The format that a file's extension asks for: `ply` is binary, little-endian, with 32-bit
     /// floats; `xyz`, `txt`, `asc`, `pts` and `pwn` are text without names, with spaces, and `csv` with
-    /// commas; `las`, `laz`, and `pcd` (binary) are what they say. Case is ignored.
+    /// commas; `las`, `laz`, `pcd` (binary) and `npy` (64-bit floats, attributes as fields) are what they say.
+    /// Case is ignored.
     #[must_use]
     pub fn from_extension(path: &Path) -> Option<Self> {
         let extension = path.extension()?.to_str()?.to_ascii_lowercase();
@@ -115,6 +125,7 @@ impl Format {
             "csv" => Some(Self::Xyz { names: false, separator: Separator::Comma }),
             "las" => Some(Self::Las { compressed: false }),
             "laz" => Some(Self::Las { compressed: true }),
+            "npy" => Some(Self::Npy { scalar: Scalar::F64, fields: true }),
             "pcd" => Some(Self::Pcd { encoding: PcdEncoding::Binary }),
             _ => None,
         }
@@ -168,7 +179,7 @@ impl Format {
     #[must_use]
     pub fn is_streamed(self) -> bool {
         match self {
-            Self::Ply { .. } | Self::Xyz { .. } => true,
+            Self::Ply { .. } | Self::Xyz { .. } | Self::Npy { .. } => true,
             Self::Las { .. } | Self::Pcd { .. } => false,
         }
     }
@@ -181,7 +192,7 @@ impl Format {
         let mut lost = Vec::new();
         match self {
             Self::Ply { .. } | Self::Las { .. } | Self::Pcd { .. } => {}
-            Self::Xyz { .. } => {
+            Self::Xyz { .. } | Self::Npy { .. } => {
                 if let Some(crs) = &origin.crs {
                     lost.push(format!("the coordinate system ({})", crs.name()));
                 }
@@ -203,11 +214,13 @@ impl Format {
             Self::Las { compressed: false } => "application/vnd.las",
             Self::Las { compressed: true } => "application/vnd.laszip",
             Self::Pcd { .. } => "application/x-pcd",
+            Self::Npy { .. } => "application/x-npy",
         }
     }
 
     /// The exact length in bytes of a file of `points` points with these attributes as
-    /// [`CloudWriter`](super::CloudWriter) writes it, where it depends on nothing else: binary PLY.
+    /// [`CloudWriter`](super::CloudWriter) writes it, where it depends on nothing else: binary PLY
+    /// and NumPy.
     #[must_use]
     pub fn encoded_len(self, points: u64, attributes: &[Attribute], origin: &Origin) -> Option<u64> {
         match self {
@@ -217,6 +230,15 @@ impl Format {
                 let tables = origin.tables.iter().map(Table::bytes).sum::<u64>();
                 let rows = points.checked_mul(3 * scalar.size() + bytes_a_point(attributes))?;
                 rows.checked_add(header)?.checked_add(tables)
+            }
+            Self::Npy { scalar, fields } => {
+                let header = npy::header(scalar, fields, points, attributes).len() as u64;
+                let others = if npy::is_table(fields, attributes) {
+                    attributes.len() as u64 * scalar.size()
+                } else {
+                    bytes_a_point(attributes)
+                };
+                points.checked_mul(3 * scalar.size() + others)?.checked_add(header)
             }
             Self::Xyz { .. } | Self::Las { .. } | Self::Pcd { .. } => None,
         }

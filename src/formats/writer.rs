@@ -3,6 +3,7 @@
 use std::io::Write;
 use std::sync::Arc;
 
+use super::npy;
 use super::ply::kind_name;
 use super::{Format, FormatError, PlyEncoding, Scalar, Separator};
 use crate::cloud::{Attribute, Column, Kind, Origin, Position, Table, Values, each_kind};
@@ -75,6 +76,9 @@ impl<W: Write> CloudWriter<W> {
                 sink.write_all(names_line(attributes, separator).as_bytes())?;
             }
             Format::Xyz { names: false, .. } => {}
+            Format::Npy { scalar, fields } => {
+                sink.write_all(&npy::header(scalar, fields, points, attributes))?;
+            }
             Format::Las { .. } | Format::Pcd { .. } => return Err(FormatError::NotWritten),
         }
         let kinds = attributes.iter().map(|a| a.values.kind()).collect();
@@ -119,6 +123,12 @@ impl<W: Write> CloudWriter<W> {
             match self.format {
                 Format::Las { .. } | Format::Pcd { .. } => return Err(FormatError::NotWritten),
                 Format::Xyz { separator, .. } => write_text(scratch, block, attributes, from, separator, Ok)?,
+                Format::Npy { scalar: Scalar::F32, fields } => {
+                    write_npy(scratch, block, attributes, from, fields, |v| narrow(v).map(f32::to_le_bytes))?;
+                }
+                Format::Npy { scalar: Scalar::F64, fields } => {
+                    write_npy(scratch, block, attributes, from, fields, |v| Ok(v.to_le_bytes()))?;
+                }
                 Format::Ply { encoding, scalar } => match (encoding, scalar) {
                     (PlyEncoding::Ascii, Scalar::F32) => {
                         write_text(scratch, block, attributes, from, Separator::Space, narrow)?
@@ -293,6 +303,27 @@ fn write_binary<const N: usize>(
             }
         });
         offset += size;
+    }
+    Ok(())
+}
+
+/// Rows of a NumPy array: as fields, or all numbers in the type of the coordinates.
+fn write_npy<const N: usize>(
+    scratch: &mut Vec<u8>,
+    block: &[Position],
+    attributes: &[Attribute],
+    from: usize,
+    fields: bool,
+    convert: impl Fn(f64) -> Result<[u8; N], FormatError>,
+) -> Result<(), FormatError> {
+    if fields {
+        return write_binary(scratch, block, attributes, from, false, convert);
+    }
+    for (i, position) in block.iter().enumerate() {
+        let others = attributes.iter().map(|attribute| attribute.values.get(from + i));
+        for number in position.iter().copied().chain(others) {
+            scratch.extend_from_slice(&convert(number)?);
+        }
     }
     Ok(())
 }
