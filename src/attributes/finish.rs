@@ -3,7 +3,7 @@
 use super::carry::{Near, carry, normal_of};
 use super::keep::without_nearest;
 use super::rules::Rules;
-use crate::cloud::{Attribute, Cloud, Frame, Point, Position, Values};
+use crate::cloud::{Attribute, Cloud, Frame, Origin, Point, Position, Values};
 use crate::geometry::estimate_normals;
 
 /// Neighbours that an estimated normal is made of.
@@ -33,6 +33,21 @@ impl Finish {
     #[must_use]
     pub fn bytes_a_point(&self) -> u64 {
         5 * u64::from(self.source_fields) + 12 * u64::from(self.estimate_normals)
+    }
+
+    /// What a result takes over of what the source's file tells of the whole, and a sentence about what it
+    /// does not. Tables that refer to points by their numbers (faces) stay true only where all points are
+    /// kept.
+    #[must_use]
+    pub fn origin(&self, source: &Cloud) -> (Origin, Option<String>) {
+        let mut origin = source.origin.clone();
+        if self.keep_input && source.positions.as_flattened().iter().all(|c| c.is_finite()) {
+            return (origin, None);
+        }
+        let dropped = origin.drop_references();
+        let lost = (!dropped.is_empty())
+            .then(|| format!("not carried over: {} (about the input's points)", dropped.join(", ")));
+        (origin, lost)
     }
 
     /// Whether there is anything to do.

@@ -183,7 +183,10 @@ pub(super) fn run(args: &UpsampleArgs) -> Result<(), CliError> {
         estimate_normals: args.normals.is_some(),
         sensor: args.sensor,
     };
-    let mut origin = cloud.origin.clone();
+    let (mut origin, lost) = finish.origin(&cloud);
+    if let Some(lost) = lost {
+        note(format!("warning: {lost}"));
+    }
     let request = Request { cloud, target, settings, finish };
     let provenance = provenance::line(&name, &request);
     origin.comments.push(provenance.clone());

@@ -24,7 +24,7 @@ pub struct Cloud {
     pub positions: Vec<Position>,
     /// What else the file tells of each point, in the file's order.
     pub attributes: Vec<Attribute>,
-    /// Names of what the reader saw and did not keep (for example `face`), in the file's order.
+    /// Names of what the reader saw and did not keep (lists, text, arrays), in the file's order.
     pub dropped_properties: Vec<String>,
     /// What else the file tells of the whole.
     pub origin: Origin,

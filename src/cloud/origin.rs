@@ -18,10 +18,32 @@ pub struct Origin {
     pub sensor: Option<[f64; 3]>,
     /// SHA-256 over all bytes of the file.
     pub sha256: Option<[u8; 32]>,
-    /// PLY's elements other than `vertex`.
+    /// PLY's elements other than `vertex`, in the file's order.
     pub tables: Arc<Vec<Table>>,
     /// What only LAS has a place for.
     pub las: Option<Arc<LasOrigin>>,
+}
+
+impl Origin {
+    /// Adds a comment of any text: its lines that hold anything, without control characters.
+    pub fn comment(&mut self, text: &str) {
+        for line in text.lines() {
+            let line: String = line.chars().map(|c| if c == '\t' { ' ' } else { c }).collect();
+            let line = line.replace(char::is_control, "");
+            if !line.trim().is_empty() {
+                self.comments.push(line.trim().to_owned());
+            }
+        }
+    }
+
+    /// Drops the tables that mean nothing beside other points ([`Table::refers_to_points`]) and gives
+    /// their names.
+    pub fn drop_references(&mut self) -> Vec<String> {
+        let (dropped, kept): (Vec<Table>, Vec<Table>) =
+            self.tables.iter().cloned().partition(Table::refers_to_points);
+        self.tables = Arc::new(kept);
+        dropped.into_iter().map(|table| table.name).collect()
+    }
 }
 
 /// A coordinate reference system. As text ([`fmt::Display`], [`FromStr`]) it is one line.
@@ -93,6 +115,41 @@ pub struct Table {
     pub columns: Vec<(String, Column)>,
 }
 
+impl Table {
+    /// Whether its rows are about points by their numbers, as those of a mesh's faces are: an integer
+    /// column is named so (`vertex_indices`, `vertex1`, `point_id`), or the table is one of a mesh.
+    #[must_use]
+    pub fn refers_to_points(&self) -> bool {
+        let mesh =
+            ["face", "faces", "edge", "edges", "tristrips", "triangle", "triangles", "polygon", "cell"];
+        mesh.contains(&self.name.as_str())
+            || self.columns.iter().any(|(name, column)| {
+                let (Column::Scalar(values) | Column::List { items: values, .. }) = column;
+                !values.kind().is_float() && names_points(name)
+            })
+    }
+
+    /// Bytes of its numbers.
+    #[must_use]
+    pub fn bytes(&self) -> u64 {
+        let bytes = |values: &Values| (values.len() * values.kind().size()) as u64;
+        let columns = self.columns.iter().map(|(_, column)| match column {
+            Column::Scalar(values) => bytes(values),
+            Column::List { lengths, items } => bytes(lengths) + bytes(items),
+        });
+        columns.sum()
+    }
+}
+
+/// Whether a column of that name holds the numbers of points.
+fn names_points(name: &str) -> bool {
+    let name = name.to_ascii_lowercase();
+    let rest = ["vertices", "vertex", "points", "point"].iter().find_map(|word| name.strip_prefix(word));
+    rest.map(|rest| rest.trim_start_matches('_')).is_some_and(|rest| {
+        rest.chars().all(|c| c.is_ascii_digit()) || ["ind", "id", "list"].iter().any(|w| rest.starts_with(w))
+    })
+}
+
 /// A column of a [`Table`].
 #[derive(Debug, Clone, PartialEq)]
 pub enum Column {
@@ -133,5 +190,34 @@ mod tests {
         }
         let lines = Crs::Wkt("A[\"b\",\r\n  C]\0".into());
         assert_eq!(lines.to_string(), "A[\"b\", C]");
+    }
+
+    #[test]
+    fn a_comment_is_lines_without_control_characters() {
+        let mut origin = Origin::default();
+        origin.comment(" made by\tx \r\n\n\u{1b}[31mred\0");
+        assert_eq!(origin.comments, ["made by x", "[31mred"]);
+    }
+
+    #[test]
+    fn tables_about_points_by_their_numbers_are_told_from_others() {
+        let table = |name: &str, column: &str, values: Values| Table {
+            name: name.to_owned(),
+            rows: values.len(),
+            columns: vec![(column.to_owned(), Column::Scalar(values))],
+        };
+        let int = || Values::I32(vec![1]);
+        let tables = [
+            table("face", "flags", int()),
+            table("link", "vertex1", int()),
+            table("mark", "Point_Index", int()),
+            table("camera", "point_size", int()),
+            table("camera2", "viewport", int()),
+            table("centre", "point", Values::F32(vec![1.0])),
+        ];
+        let mut origin = Origin { tables: Arc::new(tables.to_vec()), ..Origin::default() };
+        assert_eq!(origin.drop_references(), ["face", "link", "mark"]);
+        assert_eq!(*origin.tables, tables[3..]);
+        assert_eq!(origin.tables[0].bytes(), 4);
     }
 }

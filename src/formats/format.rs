@@ -3,8 +3,9 @@
 use std::fmt;
 use std::path::Path;
 
+use super::npy;
 use super::writer::ply_header;
-use crate::cloud::{Attribute, Origin, Position, bytes_a_point};
+use crate::cloud::{Attribute, Origin, Position, Table, bytes_a_point};
 
 /// A file format and the choices within it. A reader reports it and a writer takes it, so that a
 /// cloud goes back in the form it came in.
@@ -34,6 +35,14 @@ pub enum Format {
     Pcd {
         /// How numbers are stored.
         encoding: PcdEncoding,
+    },
+    /// NumPy's `.npy`, written little-endian, a point a row.
+    Npy {
+        /// The type of the coordinates.
+        scalar: Scalar,
+        /// Whether attributes are fields with names and types of their own; without, they are further
+        /// columns of the table that the coordinates are in, of the same type.
+        fields: bool,
     },
 }
 
@@ -89,8 +98,8 @@ pub struct Header {
     pub points: Option<u64>,
     /// What the file tells of each point beside its position, by name, in the file's order.
     pub attributes: Vec<String>,
-    /// What the file holds and will be dropped: lists of vertices, and other elements by their names
-    /// (`face`), in the file's order.
+    /// What the file holds and will be dropped: lists of vertices, fields of several numbers, elements
+    /// without properties, in the file's order.
     pub dropped_properties: Vec<String>,
 }
 
@@ -106,7 +115,8 @@ pub struct Limits {
 impl Format {
     /// The format that a file's extension asks for: `ply` is binary, little-endian, with 32-bit
     /// floats; `xyz`, `txt`, `asc`, `pts` and `pwn` are text without names, with spaces, and `csv` with
-    /// commas; `las`, `laz`, and `pcd` (binary) are what they say. Case is ignored.
+    /// commas; `las`, `laz`, `pcd` (binary) and `npy` (64-bit floats, attributes as fields) are what they say.
+    /// Case is ignored.
     #[must_use]
     pub fn from_extension(path: &Path) -> Option<Self> {
         let extension = path.extension()?.to_str()?.to_ascii_lowercase();
@@ -116,6 +126,7 @@ impl Format {
             "csv" => Some(Self::Xyz { names: false, separator: Separator::Comma }),
             "las" => Some(Self::Las { compressed: false }),
             "laz" => Some(Self::Las { compressed: true }),
+            "npy" => Some(Self::Npy { scalar: Scalar::F64, fields: true }),
             "pcd" => Some(Self::Pcd { encoding: PcdEncoding::Binary }),
             _ => None,
         }
@@ -175,6 +186,7 @@ impl Format {
             Self::Ply { encoding, scalar: Scalar::F32 } if coarse => {
                 Self::Ply { encoding, scalar: Scalar::F64 }
             }
+            Self::Npy { scalar: Scalar::F32, fields } if coarse => Self::Npy { scalar: Scalar::F64, fields },
             other => other,
         }
     }
@@ -184,7 +196,7 @@ impl Format {
     pub fn holds_comments(self) -> bool {
         match self {
             Self::Ply { .. } | Self::Las { .. } | Self::Pcd { .. } => true,
-            Self::Xyz { .. } => false,
+            Self::Xyz { .. } | Self::Npy { .. } => false,
         }
     }
 
@@ -193,7 +205,7 @@ impl Format {
     #[must_use]
     pub fn is_streamed(self) -> bool {
         match self {
-            Self::Ply { .. } | Self::Xyz { .. } => true,
+            Self::Ply { .. } | Self::Xyz { .. } | Self::Npy { .. } => true,
             Self::Las { .. } | Self::Pcd { .. } => false,
         }
     }
@@ -206,7 +218,7 @@ impl Format {
         let mut lost = Vec::new();
         match self {
             Self::Ply { .. } | Self::Las { .. } | Self::Pcd { .. } => {}
-            Self::Xyz { .. } => {
+            Self::Xyz { .. } | Self::Npy { .. } => {
                 if let Some(crs) = &origin.crs {
                     lost.push(format!("the coordinate system ({})", crs.name()));
                 }
@@ -219,7 +231,7 @@ impl Format {
     }
 
     /// The media types of all that is written; see [`Format::media_type`].
-    pub const MEDIA_TYPES: [&str; 4] = ["application/x-ply", "text/plain", "text/csv", "application/x-pcd"];
+    pub const MEDIA_TYPES: [&str; 4] = ["application/x-ply", "text/plain", "text/csv", "application/x-npy"];
 
     /// The format that a media type asks for, without parameters, in lower case; as
     /// [`Format::from_extension`] has it.
@@ -232,6 +244,7 @@ impl Format {
             "application/vnd.las" => "las",
             "application/vnd.laszip" => "laz",
             "application/x-pcd" => "pcd",
+            "application/x-npy" => "npy",
             _ => return None,
         };
         Self::from_extension(Path::new(&format!("cloud.{extension}")))
@@ -247,18 +260,31 @@ impl Format {
             Self::Las { compressed: false } => "application/vnd.las",
             Self::Las { compressed: true } => "application/vnd.laszip",
             Self::Pcd { .. } => "application/x-pcd",
+            Self::Npy { .. } => "application/x-npy",
         }
     }
 
     /// The exact length in bytes of a file of `points` points with these attributes as
-    /// [`CloudWriter`](super::CloudWriter) writes it, where it depends on nothing else: binary PLY.
+    /// [`CloudWriter`](super::CloudWriter) writes it, where it depends on nothing else: binary PLY
+    /// and NumPy.
     #[must_use]
     pub fn encoded_len(self, points: u64, attributes: &[Attribute], origin: &Origin) -> Option<u64> {
         match self {
             Self::Ply { encoding: PlyEncoding::Ascii, .. } => None,
             Self::Ply { encoding, scalar } => {
                 let header = ply_header(encoding, scalar, points, attributes, origin).len() as u64;
-                points.checked_mul(3 * scalar.size() + bytes_a_point(attributes))?.checked_add(header)
+                let tables = origin.tables.iter().map(Table::bytes).sum::<u64>();
+                let rows = points.checked_mul(3 * scalar.size() + bytes_a_point(attributes))?;
+                rows.checked_add(header)?.checked_add(tables)
+            }
+            Self::Npy { scalar, fields } => {
+                let header = npy::header(scalar, fields, points, attributes).len() as u64;
+                let others = if npy::is_table(fields, attributes) {
+                    attributes.len() as u64 * scalar.size()
+                } else {
+                    bytes_a_point(attributes)
+                };
+                points.checked_mul(3 * scalar.size() + others)?.checked_add(header)
             }
             Self::Xyz { .. } | Self::Las { .. } | Self::Pcd { .. } => None,
         }
@@ -275,6 +301,10 @@ impl fmt::Display for Format {
             Self::Xyz { separator: Separator::Comma, .. } => f.write_str("text (commas)"),
             Self::Xyz { separator: Separator::Semicolon, .. } => f.write_str("text (semicolons)"),
             Self::Xyz { separator: Separator::Space, .. } => f.write_str("text"),
+            Self::Npy { scalar, fields } => {
+                let fields = if *fields { ", fields" } else { "" };
+                write!(f, "NumPy ({}-bit{fields})", 8 * scalar.size())
+            }
             Self::Las { compressed: false } => f.write_str("LAS"),
             Self::Las { compressed: true } => f.write_str("LAZ"),
             Self::Pcd { encoding: PcdEncoding::Ascii } => f.write_str("PCD (ascii)"),

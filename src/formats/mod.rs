@@ -7,6 +7,7 @@
 //! | XYZ and its relatives (text columns; attributes) | read, write | |
 //! | LAS, LAZ, COPC (every point format, extra bytes) | read | |
 //! | PCD (ascii, binary, compressed) | read | |
+//! | NumPy `.npy` (tables and structures of any numbers) | read, write | |
 //! | OFF | | read |
 //!
 //! A reader is opened first and read second: [`CloudReader::open`] parses the header alone, so that
@@ -31,6 +32,7 @@ mod error;
 mod format;
 mod las;
 mod mesh;
+mod npy;
 mod off;
 mod pcd;
 mod ply;

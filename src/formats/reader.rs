@@ -5,6 +5,7 @@ use std::io::Read;
 use std::path::Path;
 
 use super::las;
+use super::npy::{self, NpyHeader};
 use super::pcd::PcdHeader;
 use super::ply::{self, PlyHeader};
 use super::source::Source;
@@ -28,6 +29,7 @@ enum Body {
     Xyz(XyzReader),
     Las,
     Pcd(PcdHeader),
+    Npy(NpyHeader),
 }
 
 impl<R: Read> CloudReader<R> {
@@ -52,6 +54,10 @@ impl<R: Read> CloudReader<R> {
             Sniffed::Pcd => {
                 let (pcd, header) = PcdHeader::open(&mut source, limits)?;
                 Ok(Self { source, header, body: Body::Pcd(pcd), limits })
+            }
+            Sniffed::Npy => {
+                let (npy, header) = NpyHeader::open(&mut source, limits)?;
+                Ok(Self { source, header, body: Body::Npy(npy), limits })
             }
             Sniffed::Las => {
                 let header = las::open(&mut source, limits)?;
@@ -93,6 +99,7 @@ impl<R: Read> CloudReader<R> {
             Body::Ply(ply) => ply::read_cloud(&mut self.source, &ply)?,
             Body::Xyz(xyz) => xyz.read(&mut self.source, self.limits)?,
             Body::Pcd(pcd) => pcd.read(&mut self.source)?,
+            Body::Npy(npy) => npy.read(&mut self.source)?,
             Body::Las => las::read(&mut self.source)?,
         };
         if cloud.positions.is_empty() {
@@ -122,18 +129,18 @@ enum Sniffed {
     Ply,
     Pcd,
     Las,
+    Npy,
     Text,
     Other(String),
     Nothing,
 }
 
 /// First bytes of formats that people will try, to name them in the refusal.
-const KNOWN: [(&[u8], &str); 10] = [
+const KNOWN: [(&[u8], &str); 9] = [
     (b"ASTM-E57", "an E57 file"),
-    (b"\x93NUMPY", "a NumPy file"),
     (b"\x1F\x8B", "a gzip file"),
     (b"\x28\xB5\x2F\xFD", "a Zstandard file"),
-    (b"PK\x03\x04", "a ZIP file"),
+    (b"PK\x03\x04", "a ZIP file (an .npz is one; unpack it)"),
     (b"glTF", "a glTF mesh"),
     (b"solid ", "an STL mesh"),
     (b"\x89HDF", "an HDF5 file"),
@@ -156,6 +163,9 @@ fn sniff(head: &[u8]) -> Sniffed {
     }
     if head.starts_with(b"LASF") {
         return Sniffed::Las;
+    }
+    if head.starts_with(npy::MAGIC) {
+        return Sniffed::Npy;
     }
     if let Some((_, name)) = KNOWN.iter().find(|(magic, _)| head.starts_with(magic)) {
         return Sniffed::Other((*name).to_owned());

@@ -3,6 +3,7 @@
 mod broken;
 mod las_files;
 mod meshes;
+mod npy_files;
 mod pcd_files;
 mod round_trips;
 mod text;

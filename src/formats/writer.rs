@@ -1,15 +1,21 @@
 //! Writing a cloud.
 
 use std::io::Write;
+use std::sync::Arc;
 
+use super::npy;
 use super::ply::kind_name;
 use super::{Format, FormatError, PlyEncoding, Scalar, Separator};
-use crate::cloud::{Attribute, Kind, Origin, Position, each_kind};
+use crate::cloud::{Attribute, Column, Kind, Origin, Position, Table, Values, each_kind};
 
 /// Points encoded between two writes to the sink.
 const BLOCK: usize = 4096;
 
-/// Writes one cloud in parts: the header at once, then any number of [`write`](Self::write)s.
+/// Bytes of a table gathered between two writes to the sink.
+const FLUSH: usize = 64 * 1024;
+
+/// Writes one cloud in parts: the header at once, then any number of [`write`](Self::write)s, then
+/// [`finish`](Self::finish), which writes the tables of a PLY file.
 ///
 /// Text holds the shortest decimals that read back as the same number. The output depends on what is
 /// given alone: no date, no name of a machine.
@@ -19,6 +25,8 @@ pub struct CloudWriter<W: Write> {
     format: Format,
     /// Of each attribute.
     kinds: Vec<Kind>,
+    /// Written after the points.
+    tables: Arc<Vec<Table>>,
     promised: u64,
     written: u64,
     scratch: Vec<u8>,
@@ -68,10 +76,14 @@ impl<W: Write> CloudWriter<W> {
                 sink.write_all(names_line(attributes, separator).as_bytes())?;
             }
             Format::Xyz { names: false, .. } => {}
+            Format::Npy { scalar, fields } => {
+                sink.write_all(&npy::header(scalar, fields, points, attributes))?;
+            }
             Format::Las { .. } | Format::Pcd { .. } => return Err(FormatError::NotWritten),
         }
         let kinds = attributes.iter().map(|a| a.values.kind()).collect();
-        Ok(Self { sink, format, kinds, promised: points, written: 0, scratch: Vec::new() })
+        let tables = Arc::clone(&origin.tables);
+        Ok(Self { sink, format, kinds, tables, promised: points, written: 0, scratch: Vec::new() })
     }
 
     /// Appends points of a cloud without attributes.
@@ -111,6 +123,12 @@ impl<W: Write> CloudWriter<W> {
             match self.format {
                 Format::Las { .. } | Format::Pcd { .. } => return Err(FormatError::NotWritten),
                 Format::Xyz { separator, .. } => write_text(scratch, block, attributes, from, separator, Ok)?,
+                Format::Npy { scalar: Scalar::F32, fields } => {
+                    write_npy(scratch, block, attributes, from, fields, |v| narrow(v).map(f32::to_le_bytes))?;
+                }
+                Format::Npy { scalar: Scalar::F64, fields } => {
+                    write_npy(scratch, block, attributes, from, fields, |v| Ok(v.to_le_bytes()))?;
+                }
                 Format::Ply { encoding, scalar } => match (encoding, scalar) {
                     (PlyEncoding::Ascii, Scalar::F32) => {
                         write_text(scratch, block, attributes, from, Separator::Space, narrow)?
@@ -142,13 +160,18 @@ impl<W: Write> CloudWriter<W> {
         Ok(())
     }
 
-    /// Flushes and gives the sink back.
+    /// Writes what follows the points, flushes, and gives the sink back.
     ///
     /// # Errors
     /// The sink fails, or fewer points were written than promised.
     pub fn finish(mut self) -> Result<W, FormatError> {
         if self.written != self.promised {
             return Err(FormatError::WrongCount { promised: self.promised, written: self.written });
+        }
+        if let Format::Ply { encoding, .. } = self.format {
+            for table in self.tables.iter() {
+                write_table(&mut self.sink, &mut self.scratch, encoding, table)?;
+            }
         }
         self.sink.flush()?;
         Ok(self.sink)
@@ -176,7 +199,7 @@ pub(super) fn ply_header(
         header += &format!("comment {CRS}{crs}\n");
     }
     for comment in &origin.comments {
-        header += &format!("comment {comment}\n");
+        header += &format!("comment {}\n", comment.replace(char::is_control, " "));
     }
     header += &format!("element vertex {points}\n");
     for axis in ["x", "y", "z"] {
@@ -185,6 +208,18 @@ pub(super) fn ply_header(
     for attribute in attributes {
         let kind = kind_name(attribute.values.kind());
         header += &format!("property {kind} {}\n", one_word(&attribute.name));
+    }
+    for table in origin.tables.iter() {
+        header += &format!("element {} {}\n", one_word(&table.name), table.rows);
+        for (name, column) in &table.columns {
+            let kind = match column {
+                Column::Scalar(values) => kind_name(values.kind()).to_owned(),
+                Column::List { lengths, items } => {
+                    format!("list {} {}", kind_name(lengths.kind()), kind_name(items.kind()))
+                }
+            };
+            header += &format!("property {kind} {}\n", one_word(name));
+        }
     }
     header + "end_header\n"
 }
@@ -265,5 +300,79 @@ fn write_binary<const N: usize>(
         });
         offset += size;
     }
+    Ok(())
+}
+
+/// Rows of a NumPy array: as fields, or all numbers in the type of the coordinates.
+fn write_npy<const N: usize>(
+    scratch: &mut Vec<u8>,
+    block: &[Position],
+    attributes: &[Attribute],
+    from: usize,
+    fields: bool,
+    convert: impl Fn(f64) -> Result<[u8; N], FormatError>,
+) -> Result<(), FormatError> {
+    if fields {
+        return write_binary(scratch, block, attributes, from, false, convert);
+    }
+    for (i, position) in block.iter().enumerate() {
+        let others = attributes.iter().map(|attribute| attribute.values.get(from + i));
+        for number in position.iter().copied().chain(others) {
+            scratch.extend_from_slice(&convert(number)?);
+        }
+    }
+    Ok(())
+}
+
+/// Writes an element of a PLY file row by row.
+fn write_table<W: Write>(
+    sink: &mut W,
+    scratch: &mut Vec<u8>,
+    encoding: PlyEncoding,
+    table: &Table,
+) -> Result<(), FormatError> {
+    // Where the next row's items begin, in each list.
+    let mut starts = vec![0; table.columns.len()];
+    scratch.clear();
+    for row in 0..table.rows {
+        for ((_, column), start) in table.columns.iter().zip(&mut starts) {
+            match column {
+                Column::Scalar(values) => write_number(scratch, encoding, values, row)?,
+                Column::List { lengths, items } => {
+                    write_number(scratch, encoding, lengths, row)?;
+                    let end = *start + lengths.get(row) as usize;
+                    for item in *start..end {
+                        write_number(scratch, encoding, items, item)?;
+                    }
+                    *start = end;
+                }
+            }
+        }
+        if encoding == PlyEncoding::Ascii {
+            // In place of the last space.
+            scratch.pop();
+            scratch.push(b'\n');
+        }
+        if scratch.len() >= FLUSH {
+            sink.write_all(scratch)?;
+            scratch.clear();
+        }
+    }
+    sink.write_all(scratch)?;
+    Ok(())
+}
+
+/// Writes one number of a column, and in text a space after it.
+fn write_number(
+    scratch: &mut Vec<u8>,
+    encoding: PlyEncoding,
+    values: &Values,
+    index: usize,
+) -> Result<(), FormatError> {
+    each_kind!(values, column => match encoding {
+        PlyEncoding::Ascii => write!(scratch, "{:?} ", column[index])?,
+        PlyEncoding::BinaryLittleEndian => scratch.extend_from_slice(&column[index].to_le_bytes()),
+        PlyEncoding::BinaryBigEndian => scratch.extend_from_slice(&column[index].to_be_bytes()),
+    });
     Ok(())
 }

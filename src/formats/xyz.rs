@@ -8,7 +8,7 @@ use super::{Format, FormatError, Header, Limits, Separator};
 use crate::cloud::{Attribute, Cloud, Kind, Origin, Position, Values};
 
 /// More columns than any real table of points has; bounds what a hostile line costs.
-const MAX_COLUMNS: usize = 1000;
+pub(super) const MAX_COLUMNS: usize = 1000;
 
 /// A text cloud, read up to its first point.
 ///
@@ -137,7 +137,7 @@ impl XyzReader {
             }
         }
         if self.names.is_none() && text.is_empty() {
-            guess_names(&mut attributes);
+            guess_names(&mut attributes, are_bytes);
         }
         Ok(Cloud { positions, attributes, dropped_properties: text, origin: Origin::default() })
     }
@@ -218,16 +218,17 @@ impl Column {
     }
 }
 
-/// Names for columns that have none, where their values tell what they are.
-fn guess_names(attributes: &mut [Attribute]) {
+/// Names for columns that have none, where their values tell what they are; `are_bytes` says whether
+/// three can be a colour.
+pub(super) fn guess_names(attributes: &mut [Attribute], are_bytes: impl Fn(&[Attribute]) -> bool) {
     let mut i = 0;
     while i < attributes.len() {
         let next = |from: usize| attributes.get(from..from + 3);
-        let (names, from): (&[&str], usize) = if next(i).is_some_and(are_bytes) {
+        let (names, from): (&[&str], usize) = if next(i).is_some_and(&are_bytes) {
             (&["red", "green", "blue"], i)
         } else if next(i).is_some_and(are_unit) {
             (&["nx", "ny", "nz"], i)
-        } else if i == 0 && next(1).is_some_and(are_bytes) {
+        } else if i == 0 && next(1).is_some_and(&are_bytes) {
             (&["intensity", "red", "green", "blue"], 0)
         } else {
             i += 1;
@@ -243,7 +244,7 @@ fn guess_names(attributes: &mut [Attribute]) {
     }
 }
 
-fn are_bytes(columns: &[Attribute]) -> bool {
+pub(super) fn are_bytes(columns: &[Attribute]) -> bool {
     columns.iter().all(|c| c.values.kind() == Kind::U8)
 }
 
@@ -264,7 +265,7 @@ fn column_name(field: &[u8]) -> String {
 }
 
 /// Where the names `x`, `y` and `z` stand, if each stands once.
-fn named_axes(names: &[String]) -> Option<[usize; 3]> {
+pub(super) fn named_axes(names: &[String]) -> Option<[usize; 3]> {
     let mut axes = [0; 3];
     for (axis, wanted) in axes.iter_mut().zip(["x", "y", "z"]) {
         let mut places = (0..names.len()).filter(|i| names[*i].eq_ignore_ascii_case(wanted));

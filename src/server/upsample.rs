@@ -20,7 +20,7 @@ use super::query::{self, Parameters};
 use super::record::Points;
 use super::upload::{Received, Upload};
 use crate::cascade::Settings;
-use crate::cloud::{Origin, bytes_a_point};
+use crate::cloud::{Origin, Table, bytes_a_point};
 use crate::engine::{Job, Request};
 use crate::formats::Format;
 use crate::provenance;
@@ -127,7 +127,11 @@ fn submit(
         format = format.fine_enough(survey.bounds, survey.result_spacing(points));
     }
     let finish = parameters.finish.clone();
-    let room = result_bytes(points, bytes_a_point(&cloud.attributes) + finish.bytes_a_point(), format);
+    let (mut origin, lost) = finish.origin(&cloud);
+    warnings.extend(lost);
+    let tables = origin.tables.iter().map(Table::bytes).sum();
+    let a_point = bytes_a_point(&cloud.attributes) + finish.bytes_a_point();
+    let room = result_bytes(points, a_point, format).saturating_add(tables);
     let limit = app.config.limits.held_bytes;
     if room > limit {
         return Err(Problem::ResultTooLarge { points, bytes: room, limit });
@@ -142,7 +146,6 @@ fn submit(
         let why = format!("the cloud has no attribute {unknown:?}; it has {}", names.join(", "));
         return Err(Problem::parameter("attributes", why));
     }
-    let mut origin = cloud.origin.clone();
     let request = Request { cloud, target, settings, finish };
     let provenance = provenance::line(&app.config.model.name, &request);
     origin.comments.push(provenance.clone());

@@ -65,7 +65,7 @@ fn what_is_no_surface_is_noticed() {
     }
     let survey = Survey::of(&stray, SAMPLE).expect("a survey");
     assert!((0.03..=0.05).contains(&survey.isolated), "{survey:?}");
-    assert!((survey.area / area - 1.0).abs() < 0.1, "{survey:?} for {area}");
+    assert!((survey.area / area - 1.0).abs() < 0.15, "{survey:?} for {area}");
     assert!(survey.warnings()[0].contains("stand alone"), "{:?}", survey.warnings());
 }
 

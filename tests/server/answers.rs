@@ -65,6 +65,32 @@ fn what_was_done_to_the_input_is_told() {
 }
 
 #[test]
+fn what_a_ply_file_tells_of_the_whole_is_sent_with_its_length() {
+    let server = Server::start(&Scripted::new(), Config::default());
+    let mut body = String::from(
+        "ply\nformat binary_little_endian 1.0\ncomment crs: EPSG:2992\ncomment by hand\n\
+         element camera 1\nproperty list uchar short view\nelement vertex 100\nproperty double x\n\
+         property double y\nproperty double z\nelement face 1\nproperty list uchar int vertex_index\n\
+         end_header\n",
+    )
+    .into_bytes();
+    body.extend([2, 1, 0, 2, 0]);
+    body.extend(cloud(100).as_flattened().iter().flat_map(|v| v.to_le_bytes()));
+    body.extend([1, 0, 0, 0, 0]);
+    let reply = server.post("/upsample?ratio=2", &body);
+    assert_eq!(reply.status, 200, "{}", reply.text());
+    assert!(reply.header("densecloud-warning").expect("a warning").contains("not carried over: face"));
+    assert_eq!(reply.header("content-length"), Some(reply.body.len().to_string().as_str()));
+    let result = CloudReader::open(&reply.body[..], Limits::default()).expect("a header").read();
+    let result = result.expect("a cloud");
+    assert_eq!(result.positions.len(), 200);
+    assert_eq!(result.origin.crs.map(|crs| crs.to_string()).as_deref(), Some("EPSG:2992"));
+    assert!(result.origin.comments.contains(&"by hand".to_owned()));
+    let names: Vec<&str> = result.origin.tables.iter().map(|table| table.name.as_str()).collect();
+    assert_eq!(names, ["camera"]);
+}
+
+#[test]
 fn attributes_are_carried_over_by_their_rules() {
     let server = Server::start(&Scripted::new(), Config::default());
     let mut body = String::from(

@@ -1,12 +1,14 @@
 //! The positions and attributes of a PLY file's vertices.
 
 use std::io::Read;
+use std::sync::Arc;
 
 use super::super::source::Source;
+use super::super::writer::CRS;
 use super::super::{Format, FormatError, Header, Limits, PlyEncoding, Scalar};
 use super::header::{Element, PlyHeader, Shape};
 use super::rows::{Rows, decode, truncated};
-use crate::cloud::{Attribute, Cloud, Kind, Origin, Position, Values};
+use crate::cloud::{self as table, Attribute, Cloud, Kind, Origin, Position, Table, Values};
 
 /// What a PLY header says of the cloud, checked against the limits. `source` is where the data begin.
 pub(in super::super) fn describe<R: Read>(
@@ -37,7 +39,7 @@ pub(in super::super) fn describe<R: Read>(
                     Shape::List { .. } => dropped_properties.push(property.name.clone()),
                 }
             }
-        } else {
+        } else if element.properties.is_empty() {
             dropped_properties.push(element.name.clone());
         }
     }
@@ -49,22 +51,75 @@ pub(in super::super) fn describe<R: Read>(
     Ok(Header { format, points: Some(vertex.count), attributes, dropped_properties })
 }
 
-/// Reads the vertices and checks that all other elements are there too.
+/// Reads the vertices, and the other elements as tables.
 pub(in super::super) fn read_cloud<R: Read>(
     source: &mut Source<R>,
     header: &PlyHeader,
 ) -> Result<Cloud, FormatError> {
     let mut vertices = Vertices::default();
+    let mut tables = Vec::new();
     for element in &header.elements {
         if element.name == "vertex" {
             vertices = read_vertices(source, header.encoding, element, true)?;
-        } else {
-            Rows::new(source, header.encoding, element).skip_all()?;
+        } else if !element.properties.is_empty() {
+            tables.push(read_table(source, header.encoding, element)?);
         }
     }
     source.expect_end("the elements that the header counts")?;
     let Vertices { positions, attributes } = vertices;
-    Ok(Cloud { positions, attributes, dropped_properties: Vec::new(), origin: Origin::default() })
+    let mut origin = Origin { tables: Arc::new(tables), ..Origin::default() };
+    for comment in &header.comments {
+        match comment.trim_start().strip_prefix(CRS) {
+            Some(crs) if origin.crs.is_none() && !crs.trim().is_empty() => {
+                // Parsing cannot fail.
+                origin.crs = crs.parse().ok();
+            }
+            _ => origin.comment(comment),
+        }
+    }
+    Ok(Cloud { positions, attributes, dropped_properties: Vec::new(), origin })
+}
+
+/// Reads an element with properties.
+fn read_table<R: Read>(
+    source: &mut Source<R>,
+    encoding: PlyEncoding,
+    element: &Element,
+) -> Result<Table, FormatError> {
+    let mut columns: Vec<_> = (element.properties.iter())
+        .map(|property| match property.shape {
+            Shape::Scalar(kind) | Shape::List { item: kind, .. } => (Vec::new(), Values::new(kind)),
+        })
+        .collect();
+    let mut count = 0;
+    let mut rows = Rows::new(source, encoding, element);
+    while rows.begin()? {
+        for (property, (lengths, values)) in element.properties.iter().zip(&mut columns) {
+            match property.shape {
+                Shape::Scalar(_) => rows.push(values)?,
+                Shape::List { length, .. } => {
+                    let items = rows.whole(length, "the length of a list")?;
+                    lengths.push(items);
+                    for _ in 0..items {
+                        rows.push(values)?;
+                    }
+                }
+            }
+        }
+        rows.end()?;
+        count += 1;
+    }
+    let columns = element.properties.iter().zip(columns).map(|(property, (lengths, values))| {
+        let column = match property.shape {
+            Shape::Scalar(_) => table::Column::Scalar(values),
+            Shape::List { length, .. } => table::Column::List {
+                lengths: Values::from_f64(length, lengths.into_iter().map(f64::from)),
+                items: values,
+            },
+        };
+        (property.name.clone(), column)
+    });
+    Ok(Table { name: element.name.clone(), rows: count, columns: columns.collect() })
 }
 
 /// What the element `vertex` holds.

@@ -15,6 +15,8 @@ pub(in super::super) struct PlyHeader {
     pub(super) encoding: PlyEncoding,
     /// In the order of the data.
     pub(super) elements: Vec<Element>,
+    /// What the lines `comment` and `obj_info` say.
+    pub(super) comments: Vec<String>,
 }
 
 /// A table: `count` rows of `properties`.
@@ -48,6 +50,7 @@ pub(super) enum Shape {
 pub(in super::super) fn parse<R: Read>(source: &mut Source<R>) -> Result<PlyHeader, FormatError> {
     let mut encoding = None;
     let mut elements: Vec<Element> = Vec::new();
+    let mut comments = Vec::new();
     for number in 0..MAX_LINES {
         let Some(range) = source.next_line()? else {
             return Err(FormatError::truncated(source.line(), "the PLY header has no `end_header`"));
@@ -56,11 +59,14 @@ pub(in super::super) fn parse<R: Read>(source: &mut Source<R>) -> Result<PlyHead
         let words: Vec<&str> = line.split_ascii_whitespace().collect();
         let bad = |why: String| FormatError::malformed(source.line(), why);
         match (number, words.as_slice()) {
-            (0, ["ply"]) | (_, ["comment" | "obj_info", ..] | []) => {}
+            (0, ["ply"]) | (_, []) => {}
+            (_, [key @ ("comment" | "obj_info"), ..]) => {
+                comments.push(line.trim_start()[key.len()..].to_owned());
+            }
             (0, _) => return Err(bad("a PLY file begins with the line `ply`".into())),
             (_, ["end_header"]) => {
                 let encoding = encoding.ok_or_else(|| bad("the PLY header has no `format` line".into()))?;
-                return Ok(PlyHeader { encoding, elements });
+                return Ok(PlyHeader { encoding, elements, comments });
             }
             (_, ["format", name, version]) => {
                 if encoding.is_some() {

@@ -3,6 +3,7 @@
 use proptest::prelude::*;
 
 use super::*;
+use crate::cloud::Column;
 
 /// A binary PLY with an element before and after the vertices, lists, and mixed types.
 fn mixed(big: bool) -> Vec<u8> {
@@ -40,18 +41,31 @@ fn mixed(big: bool) -> Vec<u8> {
 }
 
 #[test]
-fn mixed_types_and_other_elements_are_read_over() {
+fn mixed_types_and_other_elements_are_read() {
     for big in [false, true] {
         let bytes = mixed(big);
         let reader = CloudReader::open(Drip(&bytes), Limits::default()).expect("a header");
         let header = reader.header().clone();
         assert_eq!(header.points, Some(2));
         assert_eq!(header.attributes, ["red"]);
-        assert_eq!(header.dropped_properties, ["camera", "face", "nothing"]);
+        assert_eq!(header.dropped_properties, ["nothing"]);
         let encoding = if big { PlyEncoding::BinaryBigEndian } else { PlyEncoding::BinaryLittleEndian };
         assert_eq!(header.format, ply(encoding, Scalar::F64));
         let cloud = reader.read().expect("a cloud");
         assert_eq!(cloud.positions, [[-1.0, 2.5, 4e9], [300.0, -0.125, 7.0]]);
+        assert_eq!(cloud.origin.comments, ["x"]);
+        let [camera, face] = cloud.origin.tables.as_slice() else { panic!("two tables") };
+        assert_eq!(
+            (camera.name.as_str(), camera.rows, face.name.as_str(), face.rows),
+            ("camera", 2, "face", 1)
+        );
+        let list = Column::List { lengths: Values::U16(vec![1, 0]), items: Values::F64(vec![9.0]) };
+        assert_eq!(
+            camera.columns,
+            [("m".to_owned(), list), ("id".to_owned(), Column::Scalar(Values::I8(vec![1, 2])))]
+        );
+        let list = Column::List { lengths: Values::U8(vec![3]), items: Values::I32(vec![0, 1, 0]) };
+        assert_eq!(face.columns, [("vertex_indices".to_owned(), list)]);
     }
 }
 

@@ -3,7 +3,9 @@
 use proptest::prelude::*;
 
 use super::*;
-use crate::cloud::Origin;
+use std::sync::Arc;
+
+use crate::cloud::{Column, Crs, Origin, Table};
 
 fn formats() -> Vec<Format> {
     let mut all = vec![Format::TEXT];
@@ -193,6 +195,60 @@ fn attributes_in_text_come_back_with_their_names() {
     assert_eq!(back.attributes[..1], cloud.attributes[..1]);
     assert_eq!(back.attributes[1], column("a_b", cloud.attributes[1].values.clone()));
     assert!(back.attributes[2].values.get(1).is_nan());
+}
+
+#[test]
+fn what_a_ply_file_tells_of_the_whole_comes_back() {
+    let list = |lengths, items| Column::List { lengths, items };
+    let rows = 40_000;
+    let tables = vec![
+        Table {
+            name: "face".into(),
+            rows: 3,
+            columns: vec![
+                ("vertex_indices".into(), list(Values::U8(vec![3, 0, 4]), Values::I32((0..7).collect()))),
+                ("area".into(), Column::Scalar(Values::F32(vec![0.1, f32::MIN, 1e-30]))),
+            ],
+        },
+        // More than is written at a time.
+        Table {
+            name: "track".into(),
+            rows,
+            columns: vec![
+                ("time".into(), Column::Scalar(Values::F64((0..rows).map(|i| i as f64 * 0.1).collect()))),
+                (
+                    "ids".into(),
+                    list(
+                        Values::U16((0..rows).map(|i| i as u16 % 3).collect()),
+                        Values::I64((0..rows as i64 - 1).map(|i| i64::MAX - i).collect()),
+                    ),
+                ),
+            ],
+        },
+        Table {
+            name: "empty".into(),
+            rows: 0,
+            columns: vec![("a".into(), Column::Scalar(Values::I8(vec![])))],
+        },
+    ];
+    let origin = Origin {
+        crs: Some(Crs::Epsg { horizontal: 2992, vertical: Some(5703) }),
+        comments: vec!["made by hand".into(), "crs: of another".into()],
+        tables: Arc::new(tables),
+        ..Origin::default()
+    };
+    let attributes = vec![column("red", Values::U8(vec![0, 7]))];
+    let positions = vec![[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]];
+    let cloud = Cloud { positions, attributes, origin, ..Cloud::default() };
+    for encoding in ENCODINGS {
+        let format = ply(encoding, Scalar::F64);
+        let bytes = write_all(&cloud, format);
+        let back = read_content(&bytes).expect("a cloud");
+        assert!(back == cloud, "{encoding:?}");
+        let length = format.encoded_len(2, &cloud.attributes, &cloud.origin);
+        assert_eq!(length, (encoding != PlyEncoding::Ascii).then_some(bytes.len() as u64));
+    }
+    assert_eq!(Format::TEXT.cannot_hold(&[], &cloud.origin).len(), 4, "the system and three tables");
 }
 
 #[test]
