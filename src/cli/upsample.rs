@@ -12,7 +12,7 @@ use super::{CliError, files};
 use crate::attributes::Rules;
 use crate::cascade::{Settings, Target};
 use crate::engine::{EngineError, Job, Outcome, ProgressHandle, Request};
-use crate::formats::{Format, FormatError};
+use crate::formats::Format;
 
 /// Make a cloud denser.
 #[derive(Debug, Args)]
@@ -25,8 +25,8 @@ pub(super) struct UpsampleArgs {
     /// The sparse cloud: PLY, LAS, LAZ, PCD or text, recognised by its content; `-` for standard input
     input: PathBuf,
 
-    /// The dense cloud: .ply or .xyz (another or no extension: as the input, or PLY for formats that are only read);
-    /// `-` for standard output
+    /// The dense cloud: .ply, .las, .laz, .pcd or text such as .xyz (another or no extension: as the input); `-` for
+    /// standard output
     output: PathBuf,
 
     /// Points out for each point in, any number from 1 to 64 [default: 4]
@@ -84,9 +84,6 @@ pub(super) fn run(args: &UpsampleArgs) -> Result<(), CliError> {
         target.points_out(1).map_err(|e| CliError::Usage(e.to_string()))?;
     }
     let wanted = Format::from_extension(&args.output);
-    if matches!(wanted, Some(Format::Las { .. } | Format::Pcd { .. })) {
-        return Err(CliError::Usage(FormatError::NotWritten.to_string()));
-    }
     let start = Instant::now();
     let (cloud, header) = files::read_cloud(&args.input)?;
     let format = Format::of_result(wanted, header.format, !cloud.attributes.is_empty());

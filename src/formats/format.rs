@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use super::pcd;
 use super::writer::ply_header;
 use crate::cloud::{Attribute, Origin, bytes_a_point};
 
@@ -33,6 +34,8 @@ pub enum Format {
     Pcd {
         /// How numbers are stored.
         encoding: PcdEncoding,
+        /// The type of the coordinates; PCL's own points have 32-bit floats.
+        scalar: Scalar,
     },
 }
 
@@ -115,7 +118,7 @@ impl Format {
             "csv" => Some(Self::Xyz { names: false, separator: Separator::Comma }),
             "las" => Some(Self::Las { compressed: false }),
             "laz" => Some(Self::Las { compressed: true }),
-            "pcd" => Some(Self::Pcd { encoding: PcdEncoding::Binary }),
+            "pcd" => Some(Self::Pcd { encoding: PcdEncoding::Binary, scalar: Scalar::F32 }),
             _ => None,
         }
     }
@@ -129,15 +132,17 @@ impl Format {
         std::mem::discriminant(&self) == std::mem::discriminant(&other)
     }
 
-    /// The format that a cloud of this one is written in where nobody says which: itself, or, for what
-    /// is read only, binary PLY in 64-bit floats, which holds all that was read.
+    /// The format that a cloud of this one is written in where nobody says which: itself.
     #[must_use]
     pub fn written(self) -> Self {
+        self
+    }
+
+    /// The type that holds all that coordinates of this format can tell.
+    fn scalar(self) -> Scalar {
         match self {
-            Self::Las { .. } | Self::Pcd { .. } => {
-                Self::Ply { encoding: PlyEncoding::BinaryLittleEndian, scalar: Scalar::F64 }
-            }
-            other => other,
+            Self::Ply { scalar, .. } | Self::Pcd { scalar, .. } => scalar,
+            Self::Xyz { .. } | Self::Las { .. } => Scalar::F64,
         }
     }
 
@@ -157,9 +162,8 @@ impl Format {
             (Some(Self::Xyz { separator, .. }), _) => Self::Xyz { names, separator },
             (Some(wanted @ Self::Las { .. }), _) => wanted,
             (Some(wanted), input) if wanted.is_like(input) => input,
-            // Other formats are wider than 32-bit floats; doubles lose nothing of them.
-            (Some(Self::Ply { encoding, .. }), _) => Self::Ply { encoding, scalar: Scalar::F64 },
-            (Some(wanted), _) => wanted,
+            (Some(Self::Ply { encoding, .. }), _) => Self::Ply { encoding, scalar: input.scalar() },
+            (Some(Self::Pcd { encoding, .. }), _) => Self::Pcd { encoding, scalar: input.scalar() },
         }
     }
 
@@ -168,8 +172,8 @@ impl Format {
     #[must_use]
     pub fn is_streamed(self) -> bool {
         match self {
-            Self::Ply { .. } | Self::Xyz { .. } => true,
-            Self::Las { .. } | Self::Pcd { .. } => false,
+            Self::Pcd { encoding: PcdEncoding::Compressed, .. } | Self::Las { .. } => false,
+            Self::Ply { .. } | Self::Xyz { .. } | Self::Pcd { .. } => true,
         }
     }
 
@@ -179,13 +183,24 @@ impl Format {
     pub fn cannot_hold(self, attributes: &[Attribute], origin: &Origin) -> Vec<String> {
         let _ = attributes;
         let mut lost = Vec::new();
-        match self {
-            Self::Ply { .. } | Self::Las { .. } | Self::Pcd { .. } => {}
-            Self::Xyz { .. } => {
-                if let Some(crs) = &origin.crs {
-                    lost.push(format!("the coordinate system ({})", crs.name()));
-                }
+        let las = origin.las.as_deref();
+        if let Self::Las { .. } = self {
+            if las.is_some_and(|las| las.is_indexed) {
+                lost.push("the index of the points (COPC or LAX)".to_owned());
             }
+            if origin.sensor.is_some() {
+                lost.push("the sensor's place".to_owned());
+            }
+        } else if let Some(las) = las {
+            // Those of the coordinate system say what `crs` does.
+            let others = las.records.iter().filter(|record| !record.is_crs());
+            let named: Vec<String> = others.map(|r| format!("{} {}", r.user_id, r.id)).collect();
+            if !named.is_empty() {
+                lost.push(format!("LAS records ({})", named.join(", ")));
+            }
+        }
+        if let (Self::Xyz { .. }, Some(crs)) = (self, &origin.crs) {
+            lost.push(format!("the coordinate system ({})", crs.name()));
         }
         if !matches!(self, Self::Ply { .. }) {
             lost.extend(origin.tables.iter().map(|table| table.name.clone()));
@@ -207,7 +222,7 @@ impl Format {
     }
 
     /// The exact length in bytes of a file of `points` points with these attributes as
-    /// [`CloudWriter`](super::CloudWriter) writes it, where it depends on nothing else: binary PLY.
+    /// [`CloudWriter`](super::CloudWriter) writes it, where it depends on nothing else: binary PLY and PCD.
     #[must_use]
     pub fn encoded_len(self, points: u64, attributes: &[Attribute], origin: &Origin) -> Option<u64> {
         match self {
@@ -215,6 +230,12 @@ impl Format {
             Self::Ply { encoding, scalar } => {
                 let header = ply_header(encoding, scalar, points, attributes, origin).len() as u64;
                 points.checked_mul(3 * scalar.size() + bytes_a_point(attributes))?.checked_add(header)
+            }
+            Self::Pcd { encoding: PcdEncoding::Binary, scalar } => {
+                let header =
+                    pcd::header(PcdEncoding::Binary, scalar, points, attributes, origin).len() as u64;
+                let fields = pcd::columns(attributes, PcdEncoding::Binary, 0..0);
+                points.checked_mul(3 * scalar.size() + bytes_a_point(&fields))?.checked_add(header)
             }
             Self::Xyz { .. } | Self::Las { .. } | Self::Pcd { .. } => None,
         }
