@@ -13,7 +13,7 @@ use crate::attributes::{Finish, Rules};
 use crate::cascade::{Settings, Target};
 use crate::cloud::Position;
 use crate::engine::{EngineError, Job, Outcome, ProgressHandle, Request};
-use crate::formats::{Format, FormatError};
+use crate::formats::Format;
 use crate::provenance;
 use crate::survey::{self, Goal, GoalError, Survey};
 
@@ -29,8 +29,8 @@ pub(super) struct UpsampleArgs {
     /// The sparse cloud: PLY, LAS, LAZ, PCD or text, recognised by its content; `-` for standard input
     input: PathBuf,
 
-    /// The dense cloud: .ply or .xyz (another or no extension: as the input, or PLY for formats that are only read);
-    /// `-` for standard output
+    /// The dense cloud: .ply, .las, .laz, .pcd or text such as .xyz (another or no extension: as the input); `-` for
+    /// standard output
     output: PathBuf,
 
     /// Points out for each point in, any number from 1 to 64 [default: 4]
@@ -129,9 +129,6 @@ pub(super) fn run(args: &UpsampleArgs) -> Result<(), CliError> {
         ratio.points_out(1).map_err(|e| CliError::Usage(e.to_string()))?;
     }
     let wanted = Format::from_extension(&args.output);
-    if matches!(wanted, Some(Format::Las { .. } | Format::Pcd { .. })) {
-        return Err(CliError::Usage(FormatError::NotWritten.to_string()));
-    }
     let start = Instant::now();
     let (cloud, header) = files::read_cloud(&args.input)?;
     let note = |text: String| {

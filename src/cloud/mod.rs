@@ -8,7 +8,7 @@ mod origin;
 pub(crate) use attribute::each_kind;
 pub use attribute::{Attribute, Kind, Values, bytes_a_point};
 pub use frame::{Frame, FrameError};
-pub use origin::{Column, Crs, LasOrigin, Origin, Table};
+pub use origin::{Column, Crs, LasExtra, LasOrigin, LasRecord, Origin, Table};
 
 /// A position in the local [`Frame`]: `f32`, within about [-1, 1] on each axis.
 pub type Point = [f32; 3];

@@ -66,11 +66,9 @@ pub enum FormatError {
         /// Points written.
         written: u64,
     },
-    /// A format that is read alone.
-    #[error(
-        "LAS, LAZ and PCD are read, not written; write PLY (.ply), which holds every attribute, or text (.xyz)"
-    )]
-    NotWritten,
+    /// A cloud that the format cannot hold, or a format that is not written in parts.
+    #[error("cannot be written: {0}")]
+    NotWritten(String),
     /// A coordinate is beyond the range of the file's scalar type.
     #[error("the coordinate {0:e} does not fit into 32-bit floats; write 64-bit ones")]
     Unrepresentable(f64),

@@ -3,8 +3,8 @@
 use std::fmt;
 use std::path::Path;
 
-use super::npy;
 use super::writer::ply_header;
+use super::{npy, pcd};
 use crate::cloud::{Attribute, Origin, Position, Table, bytes_a_point};
 
 /// A file format and the choices within it. A reader reports it and a writer takes it, so that a
@@ -35,6 +35,8 @@ pub enum Format {
     Pcd {
         /// How numbers are stored.
         encoding: PcdEncoding,
+        /// The type of the coordinates; PCL's own points have 32-bit floats.
+        scalar: Scalar,
     },
     /// NumPy's `.npy`, written little-endian, a point a row.
     Npy {
@@ -127,7 +129,7 @@ impl Format {
             "las" => Some(Self::Las { compressed: false }),
             "laz" => Some(Self::Las { compressed: true }),
             "npy" => Some(Self::Npy { scalar: Scalar::F64, fields: true }),
-            "pcd" => Some(Self::Pcd { encoding: PcdEncoding::Binary }),
+            "pcd" => Some(Self::Pcd { encoding: PcdEncoding::Binary, scalar: Scalar::F32 }),
             _ => None,
         }
     }
@@ -141,15 +143,17 @@ impl Format {
         std::mem::discriminant(&self) == std::mem::discriminant(&other)
     }
 
-    /// The format that a cloud of this one is written in where nobody says which: itself, or, for what
-    /// is read only, binary PLY in 64-bit floats, which holds all that was read.
+    /// The format that a cloud of this one is written in where nobody says which: itself.
     #[must_use]
     pub fn written(self) -> Self {
+        self
+    }
+
+    /// The type that holds all that coordinates of this format can tell.
+    fn scalar(self) -> Scalar {
         match self {
-            Self::Las { .. } | Self::Pcd { .. } => {
-                Self::Ply { encoding: PlyEncoding::BinaryLittleEndian, scalar: Scalar::F64 }
-            }
-            other => other,
+            Self::Ply { scalar, .. } | Self::Pcd { scalar, .. } | Self::Npy { scalar, .. } => scalar,
+            Self::Xyz { .. } | Self::Las { .. } => Scalar::F64,
         }
     }
 
@@ -169,9 +173,9 @@ impl Format {
             (Some(Self::Xyz { separator, .. }), _) => Self::Xyz { names, separator },
             (Some(wanted @ Self::Las { .. }), _) => wanted,
             (Some(wanted), input) if wanted.is_like(input) => input,
-            // Other formats are wider than 32-bit floats; doubles lose nothing of them.
-            (Some(Self::Ply { encoding, .. }), _) => Self::Ply { encoding, scalar: Scalar::F64 },
-            (Some(wanted), _) => wanted,
+            (Some(Self::Ply { encoding, .. }), _) => Self::Ply { encoding, scalar: input.scalar() },
+            (Some(Self::Npy { fields, .. }), _) => Self::Npy { scalar: input.scalar(), fields },
+            (Some(Self::Pcd { encoding, .. }), _) => Self::Pcd { encoding, scalar: input.scalar() },
         }
     }
 
@@ -185,6 +189,9 @@ impl Format {
         match self {
             Self::Ply { encoding, scalar: Scalar::F32 } if coarse => {
                 Self::Ply { encoding, scalar: Scalar::F64 }
+            }
+            Self::Pcd { encoding, scalar: Scalar::F32 } if coarse => {
+                Self::Pcd { encoding, scalar: Scalar::F64 }
             }
             Self::Npy { scalar: Scalar::F32, fields } if coarse => Self::Npy { scalar: Scalar::F64, fields },
             other => other,
@@ -205,8 +212,8 @@ impl Format {
     #[must_use]
     pub fn is_streamed(self) -> bool {
         match self {
-            Self::Ply { .. } | Self::Xyz { .. } | Self::Npy { .. } => true,
-            Self::Las { .. } | Self::Pcd { .. } => false,
+            Self::Pcd { encoding: PcdEncoding::Compressed, .. } | Self::Las { .. } => false,
+            Self::Ply { .. } | Self::Xyz { .. } | Self::Npy { .. } | Self::Pcd { .. } => true,
         }
     }
 
@@ -216,13 +223,24 @@ impl Format {
     pub fn cannot_hold(self, attributes: &[Attribute], origin: &Origin) -> Vec<String> {
         let _ = attributes;
         let mut lost = Vec::new();
-        match self {
-            Self::Ply { .. } | Self::Las { .. } | Self::Pcd { .. } => {}
-            Self::Xyz { .. } | Self::Npy { .. } => {
-                if let Some(crs) = &origin.crs {
-                    lost.push(format!("the coordinate system ({})", crs.name()));
-                }
+        let las = origin.las.as_deref();
+        if let Self::Las { .. } = self {
+            if las.is_some_and(|las| las.is_indexed) {
+                lost.push("the index of the points (COPC or LAX)".to_owned());
             }
+            if origin.sensor.is_some() {
+                lost.push("the sensor's place".to_owned());
+            }
+        } else if let Some(las) = las {
+            // Those of the coordinate system say what `crs` does.
+            let others = las.records.iter().filter(|record| !record.is_crs());
+            let named: Vec<String> = others.map(|r| format!("{} {}", r.user_id, r.id)).collect();
+            if !named.is_empty() {
+                lost.push(format!("LAS records ({})", named.join(", ")));
+            }
+        }
+        if let (Self::Xyz { .. } | Self::Npy { .. }, Some(crs)) = (self, &origin.crs) {
+            lost.push(format!("the coordinate system ({})", crs.name()));
         }
         if !matches!(self, Self::Ply { .. }) {
             lost.extend(origin.tables.iter().map(|table| table.name.clone()));
@@ -231,7 +249,15 @@ impl Format {
     }
 
     /// The media types of all that is written; see [`Format::media_type`].
-    pub const MEDIA_TYPES: [&str; 4] = ["application/x-ply", "text/plain", "text/csv", "application/x-npy"];
+    pub const MEDIA_TYPES: [&str; 7] = [
+        "application/x-ply",
+        "application/vnd.las",
+        "application/vnd.laszip",
+        "application/x-pcd",
+        "application/x-npy",
+        "text/plain",
+        "text/csv",
+    ];
 
     /// The format that a media type asks for, without parameters, in lower case; as
     /// [`Format::from_extension`] has it.
@@ -265,8 +291,8 @@ impl Format {
     }
 
     /// The exact length in bytes of a file of `points` points with these attributes as
-    /// [`CloudWriter`](super::CloudWriter) writes it, where it depends on nothing else: binary PLY
-    /// and NumPy.
+    /// [`CloudWriter`](super::CloudWriter) writes it, where it depends on nothing else: binary PLY and
+    /// PCD, and NumPy.
     #[must_use]
     pub fn encoded_len(self, points: u64, attributes: &[Attribute], origin: &Origin) -> Option<u64> {
         match self {
@@ -285,6 +311,12 @@ impl Format {
                     bytes_a_point(attributes)
                 };
                 points.checked_mul(3 * scalar.size() + others)?.checked_add(header)
+            }
+            Self::Pcd { encoding: PcdEncoding::Binary, scalar } => {
+                let header =
+                    pcd::header(PcdEncoding::Binary, scalar, points, attributes, origin).len() as u64;
+                let fields = pcd::columns(attributes, PcdEncoding::Binary, 0..0);
+                points.checked_mul(3 * scalar.size() + bytes_a_point(&fields))?.checked_add(header)
             }
             Self::Xyz { .. } | Self::Las { .. } | Self::Pcd { .. } => None,
         }
@@ -307,9 +339,20 @@ impl fmt::Display for Format {
             }
             Self::Las { compressed: false } => f.write_str("LAS"),
             Self::Las { compressed: true } => f.write_str("LAZ"),
-            Self::Pcd { encoding: PcdEncoding::Ascii } => f.write_str("PCD (ascii)"),
-            Self::Pcd { encoding: PcdEncoding::Binary } => f.write_str("PCD (binary)"),
-            Self::Pcd { encoding: PcdEncoding::Compressed } => f.write_str("PCD (binary_compressed)"),
+            Self::Pcd { encoding, scalar } => {
+                write!(f, "PCD ({}, {}-bit)", encoding.name(), 8 * scalar.size())
+            }
+        }
+    }
+}
+
+impl PcdEncoding {
+    /// As in a header.
+    pub(super) fn name(self) -> &'static str {
+        match self {
+            Self::Ascii => "ascii",
+            Self::Binary => "binary",
+            Self::Compressed => "binary_compressed",
         }
     }
 }

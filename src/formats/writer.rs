@@ -3,9 +3,8 @@
 use std::io::Write;
 use std::sync::Arc;
 
-use super::npy;
 use super::ply::kind_name;
-use super::{Format, FormatError, PlyEncoding, Scalar, Separator};
+use super::{Format, FormatError, PcdEncoding, PlyEncoding, Scalar, Separator, las, npy, pcd};
 use crate::cloud::{Attribute, Column, Kind, Origin, Position, Table, Values, each_kind};
 
 /// Points encoded between two writes to the sink.
@@ -35,17 +34,28 @@ pub struct CloudWriter<W: Write> {
 /// Writes a whole cloud, in any format. `origin` is what its source told of the whole.
 ///
 /// # Errors
-/// The sink fails, or a coordinate is beyond what the format holds.
+/// The sink fails, a coordinate is beyond what the format holds, or a point's attributes are.
 pub fn encode<W: Write>(
-    sink: W,
+    mut sink: W,
     format: Format,
     positions: &[Position],
     attributes: &[Attribute],
     origin: &Origin,
 ) -> Result<W, FormatError> {
-    let mut writer = CloudWriter::with(sink, format, positions.len() as u64, attributes, origin)?;
-    writer.write_rows(positions, attributes, 0)?;
-    writer.finish()
+    let whole = match format {
+        Format::Las { compressed } => las::encode(positions, attributes, origin, compressed)?,
+        Format::Pcd { encoding: PcdEncoding::Compressed, scalar } => {
+            pcd::encode_compressed(scalar, positions, attributes, origin)?
+        }
+        Format::Ply { .. } | Format::Xyz { .. } | Format::Npy { .. } | Format::Pcd { .. } => {
+            let mut writer = CloudWriter::with(sink, format, positions.len() as u64, attributes, origin)?;
+            writer.write_rows(positions, attributes, 0)?;
+            return writer.finish();
+        }
+    };
+    sink.write_all(&whole)?;
+    sink.flush()?;
+    Ok(sink)
 }
 
 impl<W: Write> CloudWriter<W> {
@@ -79,7 +89,13 @@ impl<W: Write> CloudWriter<W> {
             Format::Npy { scalar, fields } => {
                 sink.write_all(&npy::header(scalar, fields, points, attributes))?;
             }
-            Format::Las { .. } | Format::Pcd { .. } => return Err(FormatError::NotWritten),
+            Format::Pcd { encoding: encoding @ (PcdEncoding::Ascii | PcdEncoding::Binary), scalar } => {
+                sink.write_all(pcd::header(encoding, scalar, points, attributes, origin).as_bytes())?;
+            }
+            Format::Las { .. } | Format::Pcd { .. } => {
+                let why = "LAS, LAZ and compressed PCD are made as a whole, not in parts";
+                return Err(FormatError::NotWritten(why.into()));
+            }
         }
         let kinds = attributes.iter().map(|a| a.values.kind()).collect();
         let tables = Arc::clone(&origin.tables);
@@ -121,7 +137,8 @@ impl<W: Write> CloudWriter<W> {
             self.scratch.clear();
             let scratch = &mut self.scratch;
             match self.format {
-                Format::Las { .. } | Format::Pcd { .. } => return Err(FormatError::NotWritten),
+                // `with` lets none of the others through.
+                Format::Las { .. } => {}
                 Format::Xyz { separator, .. } => write_text(scratch, block, attributes, from, separator, Ok)?,
                 Format::Npy { scalar: Scalar::F32, fields } => {
                     write_npy(scratch, block, attributes, from, fields, |v| narrow(v).map(f32::to_le_bytes))?;
@@ -129,30 +146,17 @@ impl<W: Write> CloudWriter<W> {
                 Format::Npy { scalar: Scalar::F64, fields } => {
                     write_npy(scratch, block, attributes, from, fields, |v| Ok(v.to_le_bytes()))?;
                 }
-                Format::Ply { encoding, scalar } => match (encoding, scalar) {
-                    (PlyEncoding::Ascii, Scalar::F32) => {
-                        write_text(scratch, block, attributes, from, Separator::Space, narrow)?
-                    }
-                    (PlyEncoding::Ascii, Scalar::F64) => {
-                        write_text(scratch, block, attributes, from, Separator::Space, Ok)?;
-                    }
-                    (PlyEncoding::BinaryLittleEndian, Scalar::F32) => {
-                        write_binary(scratch, block, attributes, from, false, |v| {
-                            narrow(v).map(f32::to_le_bytes)
-                        })?;
-                    }
-                    (PlyEncoding::BinaryBigEndian, Scalar::F32) => {
-                        write_binary(scratch, block, attributes, from, true, |v| {
-                            narrow(v).map(f32::to_be_bytes)
-                        })?;
-                    }
-                    (PlyEncoding::BinaryLittleEndian, Scalar::F64) => {
-                        write_binary(scratch, block, attributes, from, false, |v| Ok(v.to_le_bytes()))?;
-                    }
-                    (PlyEncoding::BinaryBigEndian, Scalar::F64) => {
-                        write_binary(scratch, block, attributes, from, true, |v| Ok(v.to_be_bytes()))?;
-                    }
-                },
+                Format::Ply { encoding, scalar } => {
+                    write_numbers(scratch, block, attributes, from, encoding, scalar)?;
+                }
+                Format::Pcd { encoding, scalar } => {
+                    let fields = pcd::columns(attributes, encoding, from..from + block.len());
+                    let encoding = match encoding {
+                        PcdEncoding::Ascii => PlyEncoding::Ascii,
+                        PcdEncoding::Binary | PcdEncoding::Compressed => PlyEncoding::BinaryLittleEndian,
+                    };
+                    write_numbers(scratch, block, &fields, 0, encoding, scalar)?;
+                }
             }
             self.sink.write_all(&self.scratch)?;
             self.written += block.len() as u64;
@@ -232,7 +236,7 @@ fn names_line(attributes: &[Attribute], separator: Separator) -> String {
 }
 
 /// A name without what would end it in a header or a line of columns.
-fn one_word(name: &str) -> String {
+pub(super) fn one_word(name: &str) -> String {
     let ends = |c: char| c.is_whitespace() || c.is_control() || matches!(c, ',' | ';');
     name.replace(ends, "_")
 }
@@ -243,6 +247,36 @@ fn narrow(value: f64) -> Result<f32, FormatError> {
         return Err(FormatError::Unrepresentable(value));
     }
     Ok(narrowed)
+}
+
+fn write_numbers(
+    scratch: &mut Vec<u8>,
+    block: &[Position],
+    attributes: &[Attribute],
+    from: usize,
+    encoding: PlyEncoding,
+    scalar: Scalar,
+) -> Result<(), FormatError> {
+    match (encoding, scalar) {
+        (PlyEncoding::Ascii, Scalar::F32) => {
+            write_text(scratch, block, attributes, from, Separator::Space, narrow)
+        }
+        (PlyEncoding::Ascii, Scalar::F64) => {
+            write_text(scratch, block, attributes, from, Separator::Space, Ok)
+        }
+        (PlyEncoding::BinaryLittleEndian, Scalar::F32) => {
+            write_binary(scratch, block, attributes, from, false, |v| narrow(v).map(f32::to_le_bytes))
+        }
+        (PlyEncoding::BinaryBigEndian, Scalar::F32) => {
+            write_binary(scratch, block, attributes, from, true, |v| narrow(v).map(f32::to_be_bytes))
+        }
+        (PlyEncoding::BinaryLittleEndian, Scalar::F64) => {
+            write_binary(scratch, block, attributes, from, false, |v| Ok(v.to_le_bytes()))
+        }
+        (PlyEncoding::BinaryBigEndian, Scalar::F64) => {
+            write_binary(scratch, block, attributes, from, true, |v| Ok(v.to_be_bytes()))
+        }
+    }
 }
 
 /// `Debug` prints the shortest decimals that read back the same, as `Display` does, but with an

@@ -3,6 +3,7 @@
 use proptest::prelude::*;
 
 use super::*;
+use crate::cloud::Origin;
 
 const HEADER: &str = "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\n\
     FIELDS x y z rgb label _ normal_x hist\nSIZE 4 4 4 4 4 1 4 4\nTYPE F F F F U U F F\nCOUNT 1 1 1 1 1 3 1 2\n\
@@ -62,7 +63,7 @@ fn every_encoding_reads_the_same() {
     ] {
         let reader = CloudReader::open(Drip(&bytes), Limits::default()).expect("a header");
         let header = reader.header().clone();
-        assert_eq!((header.format, header.points), (Format::Pcd { encoding }, Some(2)));
+        assert_eq!((header.format, header.points), (Format::Pcd { encoding, scalar: Scalar::F32 }, Some(2)));
         assert_eq!(header.attributes, ["rgb", "label", "normal_x"]);
         let cloud = reader.read().expect("a cloud");
         assert_eq!(cloud.positions[0], [1.5, -2.0, 3.25]);
@@ -109,6 +110,127 @@ fn what_is_wrong_is_told() {
     let bomb = [bomb.as_bytes(), &10_u32.to_le_bytes(), &3_200_000_000_u32.to_le_bytes(), &[0; 10]].concat();
     let error = read(&bomb).expect_err("a bomb").to_string();
     assert!(error.contains("more bytes than can be compressed"), "{error}");
+}
+
+const PCDS: [PcdEncoding; 3] = [PcdEncoding::Ascii, PcdEncoding::Binary, PcdEncoding::Compressed];
+
+fn whole(format: Format, cloud: &Cloud) -> Vec<u8> {
+    encode(Vec::new(), format, &cloud.positions, &cloud.attributes, &cloud.origin).expect("a file")
+}
+
+/// A cloud with an attribute of every type, and a header that tells something.
+fn everything(alpha: bool) -> Cloud {
+    let mut cloud = Cloud::from((0..300).map(|i| [f64::from(i), 0.5, -f64::from(i)]).collect::<Vec<_>>());
+    let mut add = |name: &str, values| cloud.attributes.push(Attribute { name: name.into(), values });
+    let bytes = |from: u8| Values::U8((0..300).map(|i| (i as u8).wrapping_mul(7) ^ from).collect());
+    for (i, name) in ["red", "green", "blue", "alpha"].into_iter().take(if alpha { 4 } else { 3 }).enumerate()
+    {
+        add(name, bytes(i as u8));
+    }
+    add("a", Values::I8(vec![-1; 300]));
+    add("b", bytes(9));
+    add("c", Values::I16(vec![i16::MIN; 300]));
+    add("d", Values::U16(vec![u16::MAX; 300]));
+    add("e", Values::I32(vec![i32::MIN; 300]));
+    add("f", Values::U32(vec![u32::MAX; 300]));
+    add("g", Values::I64(vec![i64::MIN; 300]));
+    add("h", Values::U64(vec![u64::MAX; 300]));
+    add("i", Values::F32(vec![0.1; 300]));
+    add("j", Values::F64(vec![0.1; 300]));
+    cloud.origin = Origin {
+        crs: "EPSG:25832".parse().ok(),
+        comments: vec!["one # two".into(), "three".into()],
+        sensor: Some([1.5, 0.0, -3.0]),
+        orientation: Some([0.5, 0.5, 0.5, -0.5]),
+        ..Origin::default()
+    };
+    cloud
+}
+
+#[test]
+fn what_is_written_is_read() {
+    for (alpha, encoding, scalar) in [false, true]
+        .into_iter()
+        .flat_map(|alpha| PCDS.map(|encoding| (alpha, encoding)))
+        .flat_map(|(alpha, encoding)| [Scalar::F32, Scalar::F64].map(|scalar| (alpha, encoding, scalar)))
+    {
+        let cloud = everything(alpha);
+        let format = Format::Pcd { encoding, scalar };
+        let bytes = whole(format, &cloud);
+        if let Some(length) = format.encoded_len(300, &cloud.attributes, &cloud.origin) {
+            assert_eq!(length, bytes.len() as u64);
+        }
+        assert_eq!(
+            CloudReader::open(&bytes[..], Limits::default()).expect("a header").header().format,
+            format
+        );
+        assert_eq!(read_content(&bytes).expect("a cloud"), cloud, "{format:?}");
+        if format.is_streamed() {
+            let mut writer = CloudWriter::with(Vec::new(), format, 300, &cloud.attributes, &cloud.origin)
+                .expect("a header");
+            writer.write_rows(&cloud.positions[..130], &cloud.attributes, 0).expect("points");
+            writer.write_rows(&cloud.positions[130..], &cloud.attributes, 130).expect("points");
+            assert!(writer.finish().expect("all points") == bytes);
+        } else {
+            assert!(CloudWriter::new(Vec::new(), format, 300).is_err());
+            assert!(bytes.len() < 300 * 30, "{} bytes", bytes.len());
+        }
+    }
+}
+
+#[test]
+fn the_header_is_that_of_pcl() {
+    let mut cloud = everything(false);
+    cloud.attributes.truncate(3);
+    for axis in ["nx", "ny", "nz", "a b#"] {
+        cloud.attributes.push(Attribute { name: axis.into(), values: Values::F32(vec![0.5; 300]) });
+    }
+    let format = |encoding| Format::Pcd { encoding, scalar: Scalar::F32 };
+    let expected = "# .PCD v0.7 - Point Cloud Data file format\n# crs: EPSG:25832\n# one # two\n# three\nVERSION 0.7\n\
+        FIELDS x y z rgb normal_x normal_y normal_z a_b_\nSIZE 4 4 4 4 4 4 4 4\nTYPE F F F F F F F F\n\
+        COUNT 1 1 1 1 1 1 1 1\nWIDTH 300\nHEIGHT 1\nVIEWPOINT 1.5 0 -3 0.5 0.5 0.5 -0.5\nPOINTS 300\nDATA binary\n";
+    assert!(whole(format(PcdEncoding::Binary), &cloud).starts_with(expected.as_bytes()));
+    let text = String::from_utf8(whole(format(PcdEncoding::Ascii), &cloud)).expect("text");
+    assert!(text.contains("TYPE F F F U F F F F\n"), "{text}");
+    let (_, rows) = text.split_once("DATA ascii\n").expect("rows");
+    assert!(rows.starts_with("0.0 0.5 -0.0 258 0.5 0.5 0.5 0.5\n"), "{rows}");
+    // No viewpoint of its own, no sensor.
+    cloud.origin = Origin::default();
+    let bytes = whole(format(PcdEncoding::Binary), &cloud);
+    assert!(String::from_utf8_lossy(&bytes).contains("VIEWPOINT 0 0 0 1 0 0 0\n"));
+    assert_eq!(read_content(&bytes).expect("a cloud").origin, Origin::default());
+}
+
+#[test]
+fn what_cannot_be_compressed_is_written_plainly() {
+    let mut state = 1_u64;
+    let mut random = || {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+        f64::from_bits(state >> 2)
+    };
+    let cloud = Cloud::from((0..100).map(|_| [random(), random(), random()]).collect::<Vec<_>>());
+    let bytes = whole(Format::Pcd { encoding: PcdEncoding::Compressed, scalar: Scalar::F64 }, &cloud);
+    assert!(String::from_utf8_lossy(&bytes[..300]).contains("DATA binary\n"));
+    assert_eq!(read_content(&bytes).expect("a cloud"), cloud);
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(2000))]
+
+    /// The compressor is not ours.
+    #[test]
+    fn compressed_columns_come_back(
+        runs in prop::collection::vec((any::<u8>(), 1_usize..300, 0_u8..4), 1..40),
+    ) {
+        let run = |(byte, count, step): (u8, usize, u8)| {
+            (0..count).map(move |i| byte.wrapping_add((i as u8).wrapping_mul(step)))
+        };
+        let column: Vec<u8> = runs.into_iter().flat_map(run).collect();
+        let mut cloud = Cloud::from(vec![[1.0, 2.0, 3.0]; column.len()]);
+        cloud.attributes.push(Attribute { name: "a".into(), values: Values::U8(column) });
+        let format = Format::Pcd { encoding: PcdEncoding::Compressed, scalar: Scalar::F32 };
+        prop_assert_eq!(read_content(&whole(format, &cloud)).expect("a cloud"), cloud);
+    }
 }
 
 proptest! {

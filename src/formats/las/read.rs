@@ -1,14 +1,16 @@
-//! LAS and LAZ, by the `las` crate: every point format, extra bytes, and COPC as the LAZ that it is.
+//! Reading.
 
 use std::io::{Cursor, Read};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 
-use las::{PointData, PointDataBuilder, Reader, Vlr};
+use las::{PointData, PointDataBuilder, Reader};
 
-use super::source::Source;
-use super::{Format, FormatError, Header, Limits, Place};
-use crate::cloud::{Attribute, Cloud, Kind, LasOrigin, Origin, Values};
+use super::super::source::Source;
+use super::super::{Format, FormatError, Header, Limits, Place};
+use super::records::{Role, records, role, text};
+use super::{crs, layout};
+use crate::cloud::{Attribute, Cloud, Kind, LasExtra, LasOrigin, LasRecord, Origin, Values};
 
 /// The shortest header, that of version 1.0 to 1.2.
 const SHORTEST: usize = 227;
@@ -20,7 +22,7 @@ const LONGEST: usize = 255;
 const BLOCK: u64 = 1 << 16;
 
 /// What the fixed part of the header tells; the rest is read with the points.
-pub(super) fn open<R: Read>(source: &mut Source<R>, limits: Limits) -> Result<Header, FormatError> {
+pub(in super::super) fn open<R: Read>(source: &mut Source<R>, limits: Limits) -> Result<Header, FormatError> {
     let head = source.peek(LONGEST)?;
     if head.len() < SHORTEST {
         return Err(FormatError::truncated(Place::Byte(head.len() as u64), "the LAS header is incomplete"));
@@ -43,7 +45,7 @@ pub(super) fn open<R: Read>(source: &mut Source<R>, limits: Limits) -> Result<He
 }
 
 /// Reads everything: the whole file is held, since LAZ is not in the order of its bytes.
-pub(super) fn read<R: Read>(source: &mut Source<R>) -> Result<Cloud, FormatError> {
+pub(in super::super) fn read<R: Read>(source: &mut Source<R>) -> Result<Cloud, FormatError> {
     let mut bytes = Vec::new();
     while source.ensure(1)? {
         bytes.extend_from_slice(source.buffered());
@@ -88,7 +90,7 @@ fn check(bytes: &[u8]) -> Result<(), FormatError> {
 }
 
 /// A little-endian number of `N` bytes at `from`.
-fn number<const N: usize>(bytes: &[u8], from: usize) -> u64 {
+pub(super) fn number<const N: usize>(bytes: &[u8], from: usize) -> u64 {
     let mut word = [0; 8];
     word[..N].copy_from_slice(&bytes[from..from + N]);
     u64::from_le_bytes(word)
@@ -101,19 +103,22 @@ fn decode(bytes: Vec<u8>, end: Place) -> Result<Cloud, FormatError> {
         }
         other => FormatError::malformed(Place::Byte(0), format!("not a readable LAS file: {other}")),
     };
+    let records = records(&bytes);
+    let las = told(&bytes);
     let mut reader = Reader::new(Cursor::new(bytes)).map_err(bad)?;
     let header = reader.header().clone();
     let format = *header.point_format();
     let mut dropped = Vec::new();
-    if header.has_crs_vlrs() {
-        dropped.push("the coordinate system".to_owned());
-    }
     if format.has_waveform {
         dropped.push("waveforms".to_owned());
     }
+    let transforms = header.transforms();
+    let axes = [transforms.x, transforms.y, transforms.z];
+    let length = usize::from(format.len());
     let mut positions = Vec::new();
-    let mut columns = Columns::default();
-    let mut extra = extra_columns(header.all_vlrs(), format.extra_bytes.into(), &mut dropped);
+    let fields = layout::fields(format);
+    let mut columns: Vec<Values> = fields.iter().map(layout::Field::column).collect();
+    let mut extra = extra_columns(&records, format.extra_bytes.into(), &mut dropped);
     let mut block: PointData = PointDataBuilder::new().for_header(&header).build();
     let mut left = header.number_of_points();
     while left > 0 {
@@ -122,21 +127,32 @@ fn decode(bytes: Vec<u8>, end: Place) -> Result<Cloud, FormatError> {
             return Err(FormatError::truncated(end, format!("the header counts {left} points more")));
         }
         left -= got;
-        for point in block.points() {
-            let point = point.map_err(bad)?;
-            positions.push([point.x, point.y, point.z]);
-            columns.push(&point, format.is_extended);
-            for column in &mut extra {
-                column.push(&point.extra_bytes);
-            }
+        let rows = || block.raw_bytes().chunks_exact(length);
+        positions.extend(
+            rows().map(|row| [0, 1, 2].map(|i| axes[i].direct(number::<4>(row, 4 * i) as u32 as i32))),
+        );
+        for (field, column) in fields.iter().zip(&mut columns) {
+            field.take(rows(), column);
+        }
+        for column in &mut extra {
+            // Offset and size are within the extra bytes, which end the row.
+            let from = length - usize::from(format.extra_bytes) + column.offset;
+            column.values.extend_from_bytes(rows().map(|row| &row[from..]), false);
         }
     }
-    let mut attributes = columns.into_attributes(format);
+    let mut attributes: Vec<Attribute> = fields
+        .iter()
+        .zip(columns)
+        .filter(|(field, values)| field.always || (0..values.len()).any(|i| values.get(i) != 0.0))
+        .map(|(field, values)| Attribute { name: field.name.to_owned(), values })
+        .collect();
+    let mut described = Vec::new();
     for column in extra {
         let mut name = column.name;
         while attributes.iter().any(|a| a.name == name) {
             name.push('_');
         }
+        described.push(LasExtra { name: name.clone(), entry: column.entry });
         let values = match column.scale {
             Some((scale, shift)) => {
                 let raw = &column.values;
@@ -146,101 +162,36 @@ fn decode(bytes: Vec<u8>, end: Place) -> Result<Cloud, FormatError> {
         };
         attributes.push(Attribute { name, values });
     }
-    let transforms = header.transforms();
-    let axes = [transforms.x, transforms.y, transforms.z];
-    let las = LasOrigin { scale: axes.map(|t| t.scale), offset: axes.map(|t| t.offset) };
-    let origin = Origin { las: Some(Arc::new(las)), ..Origin::default() };
+    let mut origin = Origin { crs: crs::read(&records), ..Origin::default() };
+    for record in records.iter().filter(|record| role(record) == Role::Provenance) {
+        origin.comments.extend(String::from_utf8_lossy(&record.data).lines().map(str::to_owned));
+    }
+    origin.las = Some(Arc::new(LasOrigin {
+        point_format: format.to_u8().map_err(bad)?,
+        scale: axes.map(|t| t.scale),
+        offset: axes.map(|t| t.offset),
+        is_indexed: records.iter().any(|record| role(record) == Role::Index),
+        records: records.into_iter().filter(|record| role(record) == Role::Other).collect(),
+        extra: described,
+        ..las
+    }));
     Ok(Cloud { positions, attributes, dropped_properties: dropped, origin })
 }
 
-/// The columns that point formats have.
-#[derive(Default)]
-struct Columns {
-    intensity: Vec<u16>,
-    bytes: [Vec<u8>; BYTES.len()],
-    scan_angle: Vec<f32>,
-    point_source_id: Vec<u16>,
-    gps_time: Vec<f64>,
-    colour: [Vec<u16>; 3],
-    nir: Vec<u16>,
-}
-
-/// Names of the attributes of one byte or less, in the order of [`Columns::push`].
-const BYTES: [&str; 11] = [
-    "return_number",
-    "number_of_returns",
-    "classification",
-    "user_data",
-    "scan_direction_flag",
-    "edge_of_flight_line",
-    "synthetic",
-    "key_point",
-    "withheld",
-    "overlap",
-    "scanner_channel",
-];
-
-/// How many of [`BYTES`] are kept even where they are zero everywhere.
-const ALWAYS: usize = 4;
-
-impl Columns {
-    fn push(&mut self, point: &las::Point, extended: bool) {
-        self.intensity.push(point.intensity);
-        // Formats 0 to 5 have no overlap flag: class 12 stands for it.
-        let legacy_overlap = point.is_overlap && !extended;
-        let class = if legacy_overlap { 12 } else { u8::from(point.classification) };
-        let bytes = [
-            point.return_number,
-            point.number_of_returns,
-            class,
-            point.user_data,
-            u8::from(matches!(point.scan_direction, las::point::ScanDirection::LeftToRight)),
-            u8::from(point.is_edge_of_flight_line),
-            u8::from(point.is_synthetic),
-            u8::from(point.is_key_point),
-            u8::from(point.is_withheld),
-            u8::from(point.is_overlap && extended),
-            point.scanner_channel,
-        ];
-        for (column, byte) in self.bytes.iter_mut().zip(bytes) {
-            column.push(byte);
-        }
-        self.scan_angle.push(point.scan_angle);
-        self.point_source_id.push(point.point_source_id);
-        self.gps_time.extend(point.gps_time);
-        if let Some(colour) = point.color {
-            for (column, value) in self.colour.iter_mut().zip([colour.red, colour.green, colour.blue]) {
-                column.push(value);
-            }
-        }
-        self.nir.extend(point.nir);
-    }
-
-    fn into_attributes(self, format: las::point::Format) -> Vec<Attribute> {
-        let mut attributes = Vec::new();
-        let mut add = |name: &str, values| attributes.push(Attribute { name: name.to_owned(), values });
-        let [red, green, blue] = self.colour;
-        if format.has_color {
-            add("red", Values::U16(red));
-            add("green", Values::U16(green));
-            add("blue", Values::U16(blue));
-        }
-        if format.has_nir {
-            add("nir", Values::U16(self.nir));
-        }
-        add("intensity", Values::U16(self.intensity));
-        for (i, (column, name)) in self.bytes.into_iter().zip(BYTES).enumerate() {
-            if i < ALWAYS || column.iter().any(|b| *b != 0) {
-                add(name, Values::U8(column));
-            }
-        }
-        add("scan_angle", Values::F32(self.scan_angle));
-        add("point_source_id", Values::U16(self.point_source_id));
-        if format.has_gps_time {
-            add("gps_time", Values::F64(self.gps_time));
-        }
-        attributes
-    }
+/// What the fixed part of the header tells beside the points.
+fn told(bytes: &[u8]) -> LasOrigin {
+    let version = (bytes[24], bytes[25]);
+    let mut las = LasOrigin {
+        version,
+        file_source_id: number::<2>(bytes, 4) as u16,
+        // Reserved before version 1.2.
+        global_encoding: if version >= (1, 2) { number::<2>(bytes, 6) as u16 } else { 0 },
+        created: (number::<2>(bytes, 90) as u16, number::<2>(bytes, 92) as u16),
+        ..LasOrigin::default()
+    };
+    las.guid.copy_from_slice(&bytes[8..24]);
+    las.system_identifier.copy_from_slice(&bytes[26..58]);
+    las
 }
 
 /// An attribute in the bytes that follow each point.
@@ -249,44 +200,45 @@ struct Extra {
     offset: usize,
     /// Where the record tells how whole numbers become true ones.
     scale: Option<(f64, f64)>,
+    entry: Vec<u8>,
     values: Values,
 }
 
-impl Extra {
-    /// `offset` and size are within the extra bytes of the point format, hence of each point.
-    fn push(&mut self, bytes: &[u8]) {
-        self.values.extend_from_bytes(std::iter::once(&bytes[self.offset..]), false);
-    }
+/// The types of extra bytes, from number 1 on.
+pub(super) const KINDS: [Kind; 10] = [
+    Kind::U8,
+    Kind::I8,
+    Kind::U16,
+    Kind::I16,
+    Kind::U32,
+    Kind::I32,
+    Kind::U64,
+    Kind::I64,
+    Kind::F32,
+    Kind::F64,
+];
+
+/// Bytes of an entry in the record of extra bytes.
+pub(super) const ENTRY: usize = 192;
+
+/// The scale and the offset in an entry of the record of extra bytes.
+pub(super) fn scale(entry: &[u8]) -> Option<(f64, f64)> {
+    let options = entry[3];
+    let double = |from: usize| f64::from_bits(number::<8>(entry, from));
+    let scale = if options & 8 != 0 { double(112) } else { 1.0 };
+    let shift = if options & 16 != 0 { double(136) } else { 0.0 };
+    (options & 24 != 0).then_some((scale, shift))
 }
 
 /// What the record of extra bytes describes (LAS 1.4, table 24: 192 bytes an attribute), in `length` bytes
 /// a point. What it does not describe, or as arrays, is not kept.
-fn extra_columns<'a>(
-    vlrs: impl Iterator<Item = &'a Vlr>,
-    length: usize,
-    dropped: &mut Vec<String>,
-) -> Vec<Extra> {
-    const KINDS: [Kind; 10] = [
-        Kind::U8,
-        Kind::I8,
-        Kind::U16,
-        Kind::I16,
-        Kind::U32,
-        Kind::I32,
-        Kind::U64,
-        Kind::I64,
-        Kind::F32,
-        Kind::F64,
-    ];
+fn extra_columns(records: &[LasRecord], length: usize, dropped: &mut Vec<String>) -> Vec<Extra> {
     let mut extra = Vec::new();
     let mut offset = 0;
-    for vlr in vlrs {
-        if vlr.user_id != "LASF_Spec" || vlr.record_id != 4 {
-            continue;
-        }
-        for record in vlr.data.chunks_exact(192) {
-            let (kind, options) = (usize::from(record[2]), record[3]);
-            let name = String::from_utf8_lossy(&record[4..36]).trim_matches(['\0', ' ']).to_owned();
+    for record in records.iter().filter(|record| role(record) == Role::Extra) {
+        for entry in record.data.chunks_exact(ENTRY) {
+            let (kind, options) = (usize::from(entry[2]), entry[3]);
+            let name = text(&entry[4..36]).trim().to_owned();
             let name = if name.is_empty() { format!("extra {}", extra.len() + 1) } else { name };
             let bytes = match kind {
                 // Undocumented: the options are their number.
@@ -299,11 +251,8 @@ fn extra_columns<'a>(
                 return extra;
             }
             if (1..=10).contains(&kind) {
-                let double = |from: usize| f64::from_bits(number::<8>(record, from));
-                let scale = if options & 8 != 0 { double(112) } else { 1.0 };
-                let shift = if options & 16 != 0 { double(136) } else { 0.0 };
-                let scale = (options & 24 != 0).then_some((scale, shift));
-                extra.push(Extra { name, offset, scale, values: Values::new(KINDS[kind - 1]) });
+                let (scale, values) = (scale(entry), Values::new(KINDS[kind - 1]));
+                extra.push(Extra { name, offset, scale, entry: entry.to_vec(), values });
             } else {
                 dropped.push(name);
             }

@@ -1,14 +1,19 @@
 //! PCD, the Point Cloud Library's format: a text header that names fields, then rows, or compressed columns.
 
+mod write;
+
 use std::io::Read;
 
 use super::source::Source;
 use super::text::{next_token, push_number, shown};
-use super::{Format, FormatError, Header, Limits, PcdEncoding, Place};
-use crate::cloud::{Attribute, Cloud, Kind, Values};
+use super::writer::CRS;
+use super::{Format, FormatError, Header, Limits, PcdEncoding, Place, Scalar};
+use crate::cloud::{Attribute, Cloud, Crs, Kind, Origin, Values};
 
-/// More lines than any header has.
-const MAX_LINES: usize = 100;
+pub(super) use write::{columns, encode_compressed, header};
+
+/// More bytes than any header has.
+const MAX_HEADER: usize = 1 << 20;
 
 /// LZF makes at most 264 bytes of 3; a claim above that is none.
 const MAX_EXPANSION: u64 = 90;
@@ -20,6 +25,7 @@ pub(super) struct PcdHeader {
     data: PcdEncoding,
     /// Places of `x`, `y` and `z` among the fields.
     axes: [usize; 3],
+    origin: Origin,
 }
 
 struct Field {
@@ -54,17 +60,26 @@ impl PcdHeader {
         limits: Limits,
     ) -> Result<(Self, Header), FormatError> {
         let mut lines: Vec<(String, Vec<String>)> = Vec::new();
-        for _ in 0..MAX_LINES {
-            let Some(range) = source.next_line()? else { break };
+        let mut origin = Origin::default();
+        let mut left = MAX_HEADER;
+        while let Some(range) = source.next_line()? {
             let line = String::from_utf8_lossy(source.bytes(range)).into_owned();
+            let Some(rest) = left.checked_sub(line.len() + 1) else { break };
+            left = rest;
+            if let Some(comment) = line.strip_prefix('#') {
+                note(comment.trim(), &mut origin);
+                continue;
+            }
             let line = line.split('#').next().unwrap_or_default();
             let mut words = line.split_ascii_whitespace().map(str::to_owned);
             if let Some(key) = words.next() {
                 let last = key == "DATA";
                 lines.push((key, words.collect()));
                 if last {
-                    let header =
+                    let mut header =
                         Self::parse(&lines).map_err(|why| FormatError::malformed(source.line(), why))?;
+                    let Origin { sensor, orientation, .. } = header.origin;
+                    header.origin = Origin { sensor, orientation, ..origin };
                     if let Some(limit) = limits.max_points
                         && header.points > limit
                     {
@@ -132,14 +147,20 @@ impl PcdHeader {
             Some("binary_compressed") => PcdEncoding::Compressed,
             other => return Err(format!("`DATA {}` is not known", other.unwrap_or_default())),
         };
-        Ok(Self { fields, points, data, axes })
+        let origin = find("VIEWPOINT").map(viewpoint).unwrap_or_default();
+        Ok(Self { fields, points, data, axes, origin })
+    }
+
+    fn scalar(&self) -> Scalar {
+        let fits = self.axes.iter().all(|i| self.fields[*i].kind.is_some_and(Kind::fits_f32));
+        if fits { Scalar::F32 } else { Scalar::F64 }
     }
 
     fn told(&self) -> Header {
         let others =
             || self.fields.iter().enumerate().filter(|(i, f)| !self.axes.contains(i) && f.name != "_");
         Header {
-            format: Format::Pcd { encoding: self.data },
+            format: Format::Pcd { encoding: self.data, scalar: self.scalar() },
             points: Some(self.points),
             attributes: others().filter(|(_, f)| f.is_kept()).map(|(_, f)| f.name.clone()).collect(),
             dropped_properties: others().filter(|(_, f)| !f.is_kept()).map(|(_, f)| f.name.clone()).collect(),
@@ -178,7 +199,7 @@ impl PcdHeader {
                 attributes.push(Attribute { name: field.name.clone(), values });
             }
         }
-        Ok(Cloud { positions, attributes, ..Cloud::default() })
+        Ok(Cloud { positions, attributes, origin: self.origin, ..Cloud::default() })
     }
 
     fn missing(&self, at: Place, found: u64) -> FormatError {
@@ -278,6 +299,27 @@ impl PcdHeader {
             rest = after;
         }
         Ok(())
+    }
+}
+
+/// A comment of the header: the coordinate system, as it is written here, or a line about the file.
+fn note(comment: &str, origin: &mut Origin) {
+    if let Some(crs) = comment.strip_prefix(CRS) {
+        origin.crs = crs.parse::<Crs>().ok();
+    } else if !comment.is_empty() && !comment.starts_with(".PCD") {
+        origin.comments.push(comment.to_owned());
+    }
+}
+
+/// Where the sensor stood and how it was turned: a translation, then a quaternion. What every program
+/// writes that does not know is taken for nothing.
+fn viewpoint(words: &[String]) -> Origin {
+    let numbers: Vec<f64> = words.iter().map_while(|word| word.parse().ok()).collect();
+    match <[f64; 7]>::try_from(numbers) {
+        Ok([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]) | Err(_) => Origin::default(),
+        Ok([x, y, z, w, i, j, k]) => {
+            Origin { sensor: Some([x, y, z]), orientation: Some([w, i, j, k]), ..Origin::default() }
+        }
     }
 }
 
