@@ -12,7 +12,7 @@ use crate::cascade::Target;
 use crate::cloud::{Cloud, Kind};
 use crate::formats::Format;
 use crate::provenance;
-use crate::survey::{SAMPLE, Spread, Survey};
+use crate::survey::{SAMPLE, Spread, Survey, strays};
 
 /// Tell what a cloud is like, and what upsampling it would take.
 #[derive(Debug, Args)]
@@ -32,6 +32,10 @@ pub(super) struct InspectArgs {
     #[arg(long, value_name = "N", default_value_t = SAMPLE)]
     sample: usize,
 
+    /// The cloud that this one was made of: tells how many points are far from it
+    #[arg(long, value_name = "FILE")]
+    source: Option<PathBuf>,
+
     /// Points out for each point in, for the cost
     #[arg(short, long, value_name = "R", default_value_t = 4.0)]
     ratio: f64,
@@ -48,8 +52,16 @@ pub(super) fn run(args: &InspectArgs) -> Result<(), CliError> {
     if let Ok(beside) = std::fs::read_to_string(files::beside(&args.input, PROVENANCE)) {
         made.extend(beside.lines().filter_map(|line| line.strip_prefix(provenance::MARK)).map(str::to_owned));
     }
+    let strays = match &args.source {
+        Some(path) => {
+            let (source, _) = files::read_cloud(path)?;
+            let share = strays(&source.positions, &cloud.positions, FAR);
+            Some(share.map_err(|e| CliError::file(path, e))?)
+        }
+        None => None,
+    };
     let inspection =
-        Inspection { cloud: &cloud, format: header.format, survey: &survey, made, ratio: args.ratio };
+        Inspection { cloud: &cloud, format: header.format, survey: &survey, strays, made, ratio: args.ratio };
     let text = if args.json { format!("{:#}\n", inspection.json()) } else { inspection.text() };
     // A reader that has seen enough may close the pipe.
     let _ = std::io::stdout().lock().write_all(text.as_bytes());
@@ -60,17 +72,22 @@ struct Inspection<'a> {
     cloud: &'a Cloud,
     format: Format,
     survey: &'a Survey,
+    /// Share of points further than [`FAR`] from the source.
+    strays: Option<f64>,
     /// Provenance, a line each time that the cloud was upsampled.
     made: Vec<String>,
     ratio: f64,
 }
 
-/// Seconds that two million points out take on one thread (BENCHMARKS.md), for a point out; from
-/// level to level the number of points doubles, so all levels together take about twice the last.
+/// Seconds on one thread for a point out, all levels together (BENCHMARKS.md).
 const SECONDS_A_POINT: f64 = 2.2e-5;
 
-/// Bytes at the peak for a point out (BENCHMARKS.md): the features of a level and the points of the next.
-const BYTES_A_POINT: f64 = 700.0;
+/// Bytes at the peak for a point out (BENCHMARKS.md), beside those that the program itself takes.
+const BYTES_A_POINT: f64 = 400.0;
+const BYTES: f64 = 5e7;
+
+/// Spacings of the source from which a point counts as far from it.
+const FAR: f64 = 3.0;
 
 impl Inspection<'_> {
     fn points_out(&self) -> u64 {
@@ -123,6 +140,12 @@ impl Inspection<'_> {
         lines.push(("isolated", percent(s.isolated)));
         lines.push(("off surface", percent(s.off_surface)));
         lines.push(("on lines", percent(s.on_lines)));
+        if let Some(share) = self.strays {
+            lines.push((
+                "strays",
+                format!("{:.4} % further than {FAR} spacings from every point of the source", 100.0 * share),
+            ));
+        }
         let crs = self.cloud.origin.crs.as_ref().map_or("not told".to_owned(), |crs| crs.name());
         lines.push(("coordinates", crs));
         let attributes: Vec<String> =
@@ -163,6 +186,7 @@ impl Inspection<'_> {
             "isolated": s.isolated,
             "off_surface": s.off_surface,
             "on_lines": s.on_lines,
+            "strays": self.strays,
             "crs": self.cloud.origin.crs.as_ref().map(ToString::to_string),
             "sensor": self.cloud.origin.sensor,
             "attributes": attributes,
@@ -183,7 +207,7 @@ impl Inspection<'_> {
     }
 
     fn bytes(&self) -> f64 {
-        self.points_out() as f64 * BYTES_A_POINT
+        BYTES + self.points_out() as f64 * BYTES_A_POINT
     }
 }
 

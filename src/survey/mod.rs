@@ -6,10 +6,12 @@
 
 mod cell;
 mod local;
+mod strays;
 mod target;
 
 use rayon::prelude::*;
 
+pub use strays::strays;
 pub use target::{Goal, GoalError};
 
 use crate::cloud::{Frame, FrameError, Point, Position};

@@ -1,0 +1,38 @@
+#!/bin/sh
+# Fuzzes every reader for SECONDS each (default 600), from seeds that the program writes itself. Needs
+# cargo-fuzz and a nightly compiler:
+#
+#     cargo install cargo-fuzz && rustup toolchain install nightly
+#     sh fuzz/run.sh [SECONDS [TARGET ...]]
+#
+# A finding ends its target and lies in fuzz/artifacts/TARGET; make a test of it in src/formats/tests.
+set -eu
+cd "$(dirname "$0")/.."
+seconds=${1:-600}
+[ $# -gt 0 ] && shift
+targets=${*:-ply text las pcd npy e57 off mesh}
+program=${DENSECLOUD:-target/release/densecloud}
+seeds=fuzz/seeds
+mkdir -p "$seeds"
+"$program" sample shape:knot "$seeds/small.ply" --points 60
+for to in small.xyz small.csv small.las small.laz small.pcd small.npy small.e57; do
+    "$program" upsample "$seeds/small.ply" "$seeds/$to" --ratio 1 --source-fields --normals estimate --quiet
+done
+printf 'OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n' > "$seeds/small.off"
+printf 'v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n' > "$seeds/small.obj"
+for target in $targets; do
+    case $target in
+        ply | mesh) own="$seeds/*.ply $seeds/*.off" ;;
+        text) own="$seeds/*.xyz $seeds/*.csv $seeds/*.obj" ;;
+        las) own="$seeds/*.las $seeds/*.laz" ;;
+        *) own="$seeds/*.$target" ;;
+    esac
+    mkdir -p "fuzz/corpus/$target"
+    # shellcheck disable=SC2086
+    cp $own "fuzz/corpus/$target"
+    echo "== $target"
+    # No input above 16 KiB may take 64 MiB at once, or 512 in all.
+    cargo +nightly fuzz run "$target" -- -max_total_time="$seconds" -max_len=16384 -timeout=10 \
+        -malloc_limit_mb=64 -rss_limit_mb=512 -print_final_stats=1 2>&1 | tee "fuzz/$target.log" |
+        grep -E "^stat::|DONE|SUMMARY|panicked|ERROR"
+done

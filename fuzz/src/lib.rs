@@ -1,0 +1,63 @@
+//! What all targets do with the bytes that the fuzzer makes.
+
+use densecloud::formats::{CloudReader, Limits, encode, read_mesh};
+
+/// Panics that the readers catch themselves, of libraries under them, are no findings.
+pub fn quiet() {
+    std::panic::set_hook(Box::new(|_| ()));
+}
+
+/// Reads a cloud from bytes that begin with `magic`, whatever they began with before. What can be read must
+/// be of one length, and must come back from a file of its own format.
+///
+/// # Panics
+/// When that does not hold: a finding.
+pub fn cloud(magic: &[u8], data: &[u8], mend: fn(&mut Vec<u8>)) {
+    let mut bytes = data.to_vec();
+    bytes.resize(bytes.len().max(magic.len()), 0);
+    bytes[..magic.len()].copy_from_slice(magic);
+    mend(&mut bytes);
+    let limits = Limits { max_points: Some(1 << 20), max_bytes: None };
+    let Ok(reader) = CloudReader::open(&bytes[..], limits) else { return };
+    let format = reader.header().format.written();
+    let Ok(cloud) = reader.read() else { return };
+    let points = cloud.positions.len();
+    for attribute in &cloud.attributes {
+        assert_eq!(attribute.values.len(), points, "{}", attribute.name);
+    }
+    // Not every number has a place in every format: an infinite coordinate has none in LAS.
+    let Ok(file) = encode(Vec::new(), format, &cloud.positions, &cloud.attributes, &cloud.origin) else { return };
+    if let Some(length) = format.encoded_len(points as u64, &cloud.attributes, &cloud.origin) {
+        assert_eq!(length, file.len() as u64, "{format}");
+    }
+    let again = CloudReader::open(&file[..], Limits::default()).and_then(CloudReader::read);
+    assert_eq!(again.expect("our own file").positions.len(), points, "{format}");
+}
+
+/// Reads a mesh.
+pub fn mesh(data: &[u8]) {
+    let _ = read_mesh(data);
+}
+
+/// Nothing to mend.
+pub fn as_is(_: &mut Vec<u8>) {}
+
+/// Gives an E57 file whole pages and the right checksums (CRC-32C, big-endian, in the last 4 bytes of each):
+/// without them no change would get past the first page.
+pub fn mend_pages(bytes: &mut Vec<u8>) {
+    const PAGE: usize = 1024;
+    bytes.resize(bytes.len().max(48).next_multiple_of(PAGE), 0);
+    let length = bytes.len() as u64;
+    bytes[16..24].copy_from_slice(&length.to_le_bytes());
+    bytes[40..48].copy_from_slice(&(PAGE as u64).to_le_bytes());
+    for page in bytes.chunks_exact_mut(PAGE) {
+        let (data, sum) = page.split_at_mut(PAGE - 4);
+        sum.copy_from_slice(&crc32c(data).to_be_bytes());
+    }
+}
+
+fn crc32c(bytes: &[u8]) -> u32 {
+    !bytes.iter().fold(u32::MAX, |crc, byte| {
+        (0..8).fold(crc ^ u32::from(*byte), |c, _| if c & 1 == 1 { (c >> 1) ^ 0x82F6_3B78 } else { c >> 1 })
+    })
+}
