@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
-use super::npy;
 use super::writer::ply_header;
+use super::{e57, npy};
 use crate::cloud::{Attribute, Origin, Table, bytes_a_point};
 
 /// A file format and the choices within it. A reader reports it and a writer takes it, so that a
@@ -35,6 +35,8 @@ pub enum Format {
         /// How numbers are stored.
         encoding: PcdEncoding,
     },
+    /// ASTM E57, written with 64-bit floats for coordinates.
+    E57,
     /// NumPy's `.npy`, written little-endian, a point a row.
     Npy {
         /// The type of the coordinates.
@@ -114,7 +116,7 @@ pub struct Limits {
 impl Format {
     /// The format that a file's extension asks for: `ply` is binary, little-endian, with 32-bit
     /// floats; `xyz`, `txt`, `asc`, `pts` and `pwn` are text without names, with spaces, and `csv` with
-    /// commas; `las`, `laz`, `pcd` (binary) and `npy` (64-bit floats, attributes as fields) are what they say.
+    /// commas; `las`, `laz`, `e57`, `pcd` (binary) and `npy` (64-bit floats, attributes as fields) are what they say.
     /// Case is ignored.
     #[must_use]
     pub fn from_extension(path: &Path) -> Option<Self> {
@@ -126,6 +128,7 @@ impl Format {
             "las" => Some(Self::Las { compressed: false }),
             "laz" => Some(Self::Las { compressed: true }),
             "npy" => Some(Self::Npy { scalar: Scalar::F64, fields: true }),
+            "e57" => Some(Self::E57),
             "pcd" => Some(Self::Pcd { encoding: PcdEncoding::Binary }),
             _ => None,
         }
@@ -180,7 +183,7 @@ impl Format {
     pub fn is_streamed(self) -> bool {
         match self {
             Self::Ply { .. } | Self::Xyz { .. } | Self::Npy { .. } => true,
-            Self::Las { .. } | Self::Pcd { .. } => false,
+            Self::Las { .. } | Self::Pcd { .. } | Self::E57 => false,
         }
     }
 
@@ -188,10 +191,10 @@ impl Format {
     /// known of the cloud.
     #[must_use]
     pub fn cannot_hold(self, attributes: &[Attribute], origin: &Origin) -> Vec<String> {
-        let _ = attributes;
         let mut lost = Vec::new();
         match self {
             Self::Ply { .. } | Self::Las { .. } | Self::Pcd { .. } => {}
+            Self::E57 => lost.extend(e57::not_held(attributes)),
             Self::Xyz { .. } | Self::Npy { .. } => {
                 if let Some(crs) = &origin.crs {
                     lost.push(format!("the coordinate system ({})", crs.name()));
@@ -215,6 +218,7 @@ impl Format {
             Self::Las { compressed: true } => "application/vnd.laszip",
             Self::Pcd { .. } => "application/x-pcd",
             Self::Npy { .. } => "application/x-npy",
+            Self::E57 => "model/e57",
         }
     }
 
@@ -240,7 +244,7 @@ impl Format {
                 };
                 points.checked_mul(3 * scalar.size() + others)?.checked_add(header)
             }
-            Self::Xyz { .. } | Self::Las { .. } | Self::Pcd { .. } => None,
+            Self::Xyz { .. } | Self::Las { .. } | Self::Pcd { .. } | Self::E57 => None,
         }
     }
 }

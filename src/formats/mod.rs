@@ -7,6 +7,7 @@
 //! | XYZ and its relatives (text columns; attributes) | read, write | |
 //! | LAS, LAZ, COPC (every point format, extra bytes) | read | |
 //! | PCD (ascii, binary, compressed) | read | |
+//! | E57 (all scans, attributes) | read, write | |
 //! | NumPy `.npy` (tables and structures of any numbers) | read, write | |
 //! | OFF | | read |
 //!
@@ -28,6 +29,7 @@
 //! # Ok::<(), densecloud::formats::FormatError>(())
 //! ```
 
+mod e57;
 mod error;
 mod format;
 mod las;

@@ -4,14 +4,13 @@ use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
-use super::las;
 use super::npy::{self, NpyHeader};
 use super::pcd::PcdHeader;
 use super::ply::{self, PlyHeader};
 use super::source::Source;
 use super::text::shown;
 use super::xyz::XyzReader;
-use super::{Format, FormatError, Header, Limits};
+use super::{Format, FormatError, Header, Limits, e57, las};
 use crate::cloud::Cloud;
 
 /// Reads one cloud: [`open`](Self::open) takes the header, [`read`](Self::read) the points.
@@ -30,6 +29,7 @@ enum Body {
     Las,
     Pcd(PcdHeader),
     Npy(NpyHeader),
+    E57,
 }
 
 impl<R: Read> CloudReader<R> {
@@ -59,22 +59,19 @@ impl<R: Read> CloudReader<R> {
                 let (npy, header) = NpyHeader::open(&mut source, limits)?;
                 Ok(Self { source, header, body: Body::Npy(npy), limits })
             }
+            Sniffed::E57 => {
+                let header = e57::open(&mut source)?;
+                Ok(Self { source, header, body: Body::E57, limits })
+            }
             Sniffed::Las => {
                 let header = las::open(&mut source, limits)?;
                 Ok(Self { source, header, body: Body::Las, limits })
             }
-            Sniffed::Text
-                if matches!(expected, Some(Format::Ply { .. } | Format::Las { .. } | Format::Pcd { .. })) =>
-            {
-                let begins = match expected {
-                    Some(Format::Las { .. }) => "`LASF`",
-                    Some(Format::Pcd { .. }) => "`# .PCD`",
-                    _ => "the line `ply`",
-                };
-                let found = format!("text that does not begin with {begins}");
-                Err(FormatError::Unrecognised { found })
-            }
             Sniffed::Text => {
+                if let Some(begins) = expected.and_then(beginning) {
+                    let found = format!("text that does not begin with {begins}");
+                    return Err(FormatError::Unrecognised { found });
+                }
                 let (xyz, header) = XyzReader::open(&mut source, limits)?;
                 Ok(Self { source, header, body: Body::Xyz(xyz), limits })
             }
@@ -100,6 +97,7 @@ impl<R: Read> CloudReader<R> {
             Body::Xyz(xyz) => xyz.read(&mut self.source, self.limits)?,
             Body::Pcd(pcd) => pcd.read(&mut self.source)?,
             Body::Npy(npy) => npy.read(&mut self.source)?,
+            Body::E57 => e57::read(&mut self.source, self.limits)?,
             Body::Las => las::read(&mut self.source)?,
         };
         if cloud.positions.is_empty() {
@@ -125,19 +123,31 @@ pub fn read_cloud_file(path: &Path) -> Result<(Cloud, Header), FormatError> {
     Ok((reader.read()?, header))
 }
 
+/// What the files of a format begin with, if not with points.
+fn beginning(format: Format) -> Option<&'static str> {
+    match format {
+        Format::Ply { .. } => Some("the line `ply`"),
+        Format::Las { .. } => Some("`LASF`"),
+        Format::Pcd { .. } => Some("`# .PCD`"),
+        Format::Npy { .. } => Some("`\\x93NUMPY`"),
+        Format::E57 => Some("`ASTM-E57`"),
+        Format::Xyz { .. } => None,
+    }
+}
+
 enum Sniffed {
     Ply,
     Pcd,
     Las,
     Npy,
+    E57,
     Text,
     Other(String),
     Nothing,
 }
 
 /// First bytes of formats that people will try, to name them in the refusal.
-const KNOWN: [(&[u8], &str); 9] = [
-    (b"ASTM-E57", "an E57 file"),
+const KNOWN: [(&[u8], &str); 8] = [
     (b"\x1F\x8B", "a gzip file"),
     (b"\x28\xB5\x2F\xFD", "a Zstandard file"),
     (b"PK\x03\x04", "a ZIP file (an .npz is one; unpack it)"),
@@ -163,6 +173,9 @@ fn sniff(head: &[u8]) -> Sniffed {
     }
     if head.starts_with(b"LASF") {
         return Sniffed::Las;
+    }
+    if head.starts_with(e57::MAGIC) {
+        return Sniffed::E57;
     }
     if head.starts_with(npy::MAGIC) {
         return Sniffed::Npy;

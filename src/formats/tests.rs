@@ -1,6 +1,7 @@
 //! Whole files in, clouds and meshes out, and back.
 
 mod broken;
+mod e57_files;
 mod las_files;
 mod meshes;
 mod npy_files;

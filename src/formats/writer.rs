@@ -3,9 +3,9 @@
 use std::io::Write;
 use std::sync::Arc;
 
-use super::npy;
 use super::ply::kind_name;
 use super::{Format, FormatError, PlyEncoding, Scalar, Separator};
+use super::{e57, npy};
 use crate::cloud::{Attribute, Column, Kind, Origin, Position, Table, Values, each_kind};
 
 /// Points encoded between two writes to the sink.
@@ -43,6 +43,12 @@ pub fn encode<W: Write>(
     attributes: &[Attribute],
     origin: &Origin,
 ) -> Result<W, FormatError> {
+    if format == Format::E57 {
+        let mut sink = sink;
+        sink.write_all(&e57::encode(positions, attributes, origin)?)?;
+        sink.flush()?;
+        return Ok(sink);
+    }
     let mut writer = CloudWriter::with(sink, format, positions.len() as u64, attributes, origin)?;
     writer.write_rows(positions, attributes, 0)?;
     writer.finish()
@@ -79,7 +85,7 @@ impl<W: Write> CloudWriter<W> {
             Format::Npy { scalar, fields } => {
                 sink.write_all(&npy::header(scalar, fields, points, attributes))?;
             }
-            Format::Las { .. } | Format::Pcd { .. } => return Err(FormatError::NotWritten),
+            Format::Las { .. } | Format::Pcd { .. } | Format::E57 => return Err(FormatError::NotWritten),
         }
         let kinds = attributes.iter().map(|a| a.values.kind()).collect();
         let tables = Arc::clone(&origin.tables);
@@ -121,7 +127,9 @@ impl<W: Write> CloudWriter<W> {
             self.scratch.clear();
             let scratch = &mut self.scratch;
             match self.format {
-                Format::Las { .. } | Format::Pcd { .. } => return Err(FormatError::NotWritten),
+                Format::Las { .. } | Format::Pcd { .. } | Format::E57 => {
+                    return Err(FormatError::NotWritten);
+                }
                 Format::Xyz { separator, .. } => write_text(scratch, block, attributes, from, separator, Ok)?,
                 Format::Npy { scalar: Scalar::F32, fields } => {
                     write_npy(scratch, block, attributes, from, fields, |v| narrow(v).map(f32::to_le_bytes))?;

@@ -153,7 +153,7 @@ fn empty_and_foreign_files_are_named() {
         assert!(matches!(read(bytes), Err(FormatError::Empty("points"))));
     }
     for (bytes, name) in [
-        (b"ASTM-E57\x00".as_slice(), "E57"),
+        (b"\x89HDF\r\n".as_slice(), "HDF5"),
         (b"\x1F\x8B\x08\x00", "gzip"),
         (b"OFF\n3 1 0\n", "OFF"),
         (b"\x00\x01\x02", "binary data"),
