@@ -84,7 +84,7 @@ pub(super) fn run(args: &UpsampleArgs) -> Result<(), CliError> {
         target.points_out(1).map_err(|e| CliError::Usage(e.to_string()))?;
     }
     let wanted = Format::from_extension(&args.output);
-    if matches!(wanted, Some(Format::Las { .. } | Format::Pcd { .. })) {
+    if wanted.is_some_and(|wanted| wanted.written() != wanted) {
         return Err(CliError::Usage(FormatError::NotWritten.to_string()));
     }
     let start = Instant::now();

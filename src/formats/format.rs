@@ -35,6 +35,10 @@ pub enum Format {
         /// How numbers are stored.
         encoding: PcdEncoding,
     },
+    /// OFF, read only: the vertices of a mesh.
+    Off,
+    /// Wavefront OBJ, read only: the vertices of a mesh.
+    Obj,
     /// ASTM E57, written with 64-bit floats for coordinates.
     E57,
     /// NumPy's `.npy`, written little-endian, a point a row.
@@ -129,6 +133,8 @@ impl Format {
             "laz" => Some(Self::Las { compressed: true }),
             "npy" => Some(Self::Npy { scalar: Scalar::F64, fields: true }),
             "e57" => Some(Self::E57),
+            "off" => Some(Self::Off),
+            "obj" => Some(Self::Obj),
             "pcd" => Some(Self::Pcd { encoding: PcdEncoding::Binary }),
             _ => None,
         }
@@ -148,7 +154,7 @@ impl Format {
     #[must_use]
     pub fn written(self) -> Self {
         match self {
-            Self::Las { .. } | Self::Pcd { .. } => {
+            Self::Las { .. } | Self::Pcd { .. } | Self::Off | Self::Obj => {
                 Self::Ply { encoding: PlyEncoding::BinaryLittleEndian, scalar: Scalar::F64 }
             }
             other => other,
@@ -183,7 +189,7 @@ impl Format {
     pub fn is_streamed(self) -> bool {
         match self {
             Self::Ply { .. } | Self::Xyz { .. } | Self::Npy { .. } => true,
-            Self::Las { .. } | Self::Pcd { .. } | Self::E57 => false,
+            Self::Las { .. } | Self::Pcd { .. } | Self::E57 | Self::Off | Self::Obj => false,
         }
     }
 
@@ -195,7 +201,7 @@ impl Format {
         match self {
             Self::Ply { .. } | Self::Las { .. } | Self::Pcd { .. } => {}
             Self::E57 => lost.extend(e57::not_held(attributes)),
-            Self::Xyz { .. } | Self::Npy { .. } => {
+            Self::Xyz { .. } | Self::Npy { .. } | Self::Off | Self::Obj => {
                 if let Some(crs) = &origin.crs {
                     lost.push(format!("the coordinate system ({})", crs.name()));
                 }
@@ -219,6 +225,8 @@ impl Format {
             Self::Pcd { .. } => "application/x-pcd",
             Self::Npy { .. } => "application/x-npy",
             Self::E57 => "model/e57",
+            Self::Off => "model/vnd.off",
+            Self::Obj => "model/obj",
         }
     }
 
@@ -244,7 +252,9 @@ impl Format {
                 };
                 points.checked_mul(3 * scalar.size() + others)?.checked_add(header)
             }
-            Self::Xyz { .. } | Self::Las { .. } | Self::Pcd { .. } | Self::E57 => None,
+            Self::Xyz { .. } | Self::Las { .. } | Self::Pcd { .. } | Self::E57 | Self::Off | Self::Obj => {
+                None
+            }
         }
     }
 }

@@ -9,7 +9,8 @@
 //! | PCD (ascii, binary, compressed) | read | |
 //! | E57 (all scans, attributes) | read, write | |
 //! | NumPy `.npy` (tables and structures of any numbers) | read, write | |
-//! | OFF | | read |
+//! | OFF | read (vertices) | read |
+//! | OBJ | read (vertices) | |
 //!
 //! A reader is opened first and read second: [`CloudReader::open`] parses the header alone, so that
 //! limits are checked, and a refusal sent, before any point is read. What a header *claims* is never
@@ -35,6 +36,7 @@ mod format;
 mod las;
 mod mesh;
 mod npy;
+mod obj;
 mod off;
 mod pcd;
 mod ply;

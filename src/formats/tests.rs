@@ -3,6 +3,7 @@
 mod broken;
 mod e57_files;
 mod las_files;
+mod mesh_clouds;
 mod meshes;
 mod npy_files;
 mod pcd_files;

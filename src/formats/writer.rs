@@ -85,7 +85,9 @@ impl<W: Write> CloudWriter<W> {
             Format::Npy { scalar, fields } => {
                 sink.write_all(&npy::header(scalar, fields, points, attributes))?;
             }
-            Format::Las { .. } | Format::Pcd { .. } | Format::E57 => return Err(FormatError::NotWritten),
+            Format::Las { .. } | Format::Pcd { .. } | Format::E57 | Format::Off | Format::Obj => {
+                return Err(FormatError::NotWritten);
+            }
         }
         let kinds = attributes.iter().map(|a| a.values.kind()).collect();
         let tables = Arc::clone(&origin.tables);
@@ -127,7 +129,7 @@ impl<W: Write> CloudWriter<W> {
             self.scratch.clear();
             let scratch = &mut self.scratch;
             match self.format {
-                Format::Las { .. } | Format::Pcd { .. } | Format::E57 => {
+                Format::Las { .. } | Format::Pcd { .. } | Format::E57 | Format::Off | Format::Obj => {
                     return Err(FormatError::NotWritten);
                 }
                 Format::Xyz { separator, .. } => write_text(scratch, block, attributes, from, separator, Ok)?,
