@@ -129,6 +129,10 @@ pub(super) fn run(args: &UpsampleArgs) -> Result<(), CliError> {
         ratio.points_out(1).map_err(|e| CliError::Usage(e.to_string()))?;
     }
     let wanted = Format::from_extension(&args.output);
+    if wanted.is_some_and(|wanted| wanted.written() != wanted) {
+        let why = "OFF and OBJ are read, not written; write PLY (.ply), which holds every attribute";
+        return Err(CliError::Usage(why.into()));
+    }
     let start = Instant::now();
     let (cloud, header) = files::read_cloud(&args.input)?;
     let note = |text: String| {

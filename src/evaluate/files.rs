@@ -18,7 +18,7 @@ pub struct FileSet {
 /// Which files of a folder count.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum FileKind {
-    /// Extensions of [`Format::from_extension`].
+    /// Extensions of [`Format::from_extension`], but for meshes.
     Cloud,
     /// `.ply` and `.off`.
     Mesh,
@@ -126,7 +126,10 @@ impl FileSet {
 impl FileKind {
     fn takes(self, path: &Path) -> bool {
         match self {
-            Self::Cloud => Format::from_extension(path).is_some(),
+            // Meshes are read as clouds, too, but lie beside the clouds made of them.
+            Self::Cloud => {
+                Format::from_extension(path).is_some_and(|f| !matches!(f, Format::Off | Format::Obj))
+            }
             Self::Mesh => path
                 .extension()
                 .is_some_and(|e| e.eq_ignore_ascii_case("ply") || e.eq_ignore_ascii_case("off")),

@@ -14,7 +14,7 @@ pub enum FormatError {
     Io(#[from] io::Error),
     /// The content is in no format that is read here.
     #[error(
-        "unknown format: {found}; convert it to PLY, LAS, LAZ or PCD, or to text with a point a line (XYZ)"
+        "unknown format: {found}; convert it to PLY, LAS, LAZ, E57 or PCD, or to text with a point a line (XYZ)"
     )]
     Unrecognised {
         /// What the content looks like.

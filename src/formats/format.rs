@@ -4,7 +4,7 @@ use std::fmt;
 use std::path::Path;
 
 use super::writer::ply_header;
-use super::{npy, pcd};
+use super::{e57, npy, pcd};
 use crate::cloud::{Attribute, Origin, Position, Table, bytes_a_point};
 
 /// A file format and the choices within it. A reader reports it and a writer takes it, so that a
@@ -38,6 +38,12 @@ pub enum Format {
         /// The type of the coordinates; PCL's own points have 32-bit floats.
         scalar: Scalar,
     },
+    /// OFF, read only: the vertices of a mesh.
+    Off,
+    /// Wavefront OBJ, read only: the vertices of a mesh.
+    Obj,
+    /// ASTM E57, written with 64-bit floats for coordinates.
+    E57,
     /// NumPy's `.npy`, written little-endian, a point a row.
     Npy {
         /// The type of the coordinates.
@@ -117,7 +123,7 @@ pub struct Limits {
 impl Format {
     /// The format that a file's extension asks for: `ply` is binary, little-endian, with 32-bit
     /// floats; `xyz`, `txt`, `asc`, `pts` and `pwn` are text without names, with spaces, and `csv` with
-    /// commas; `las`, `laz`, `pcd` (binary) and `npy` (64-bit floats, attributes as fields) are what they say.
+    /// commas; `las`, `laz`, `e57`, `pcd` (binary) and `npy` (64-bit floats, attributes as fields) are what they say.
     /// Case is ignored.
     #[must_use]
     pub fn from_extension(path: &Path) -> Option<Self> {
@@ -129,6 +135,9 @@ impl Format {
             "las" => Some(Self::Las { compressed: false }),
             "laz" => Some(Self::Las { compressed: true }),
             "npy" => Some(Self::Npy { scalar: Scalar::F64, fields: true }),
+            "e57" => Some(Self::E57),
+            "off" => Some(Self::Off),
+            "obj" => Some(Self::Obj),
             "pcd" => Some(Self::Pcd { encoding: PcdEncoding::Binary, scalar: Scalar::F32 }),
             _ => None,
         }
@@ -143,17 +152,23 @@ impl Format {
         std::mem::discriminant(&self) == std::mem::discriminant(&other)
     }
 
-    /// The format that a cloud of this one is written in where nobody says which: itself.
+    /// The format that a cloud of this one is written in where nobody says which: itself, or, for what
+    /// is read only, binary PLY in 64-bit floats, which holds all that was read.
     #[must_use]
     pub fn written(self) -> Self {
-        self
+        match self {
+            Self::Off | Self::Obj => {
+                Self::Ply { encoding: PlyEncoding::BinaryLittleEndian, scalar: Scalar::F64 }
+            }
+            other => other,
+        }
     }
 
     /// The type that holds all that coordinates of this format can tell.
     fn scalar(self) -> Scalar {
         match self {
             Self::Ply { scalar, .. } | Self::Pcd { scalar, .. } | Self::Npy { scalar, .. } => scalar,
-            Self::Xyz { .. } | Self::Las { .. } => Scalar::F64,
+            Self::Xyz { .. } | Self::Las { .. } | Self::E57 | Self::Off | Self::Obj => Scalar::F64,
         }
     }
 
@@ -171,7 +186,8 @@ impl Format {
                 Self::Xyz { names, separator: if separator == Separator::Space { own } else { separator } }
             }
             (Some(Self::Xyz { separator, .. }), _) => Self::Xyz { names, separator },
-            (Some(wanted @ Self::Las { .. }), _) => wanted,
+            (Some(wanted @ (Self::Las { .. } | Self::E57)), _) => wanted,
+            (Some(Self::Off | Self::Obj), _) => input.written(),
             (Some(wanted), input) if wanted.is_like(input) => input,
             (Some(Self::Ply { encoding, .. }), _) => Self::Ply { encoding, scalar: input.scalar() },
             (Some(Self::Npy { fields, .. }), _) => Self::Npy { scalar: input.scalar(), fields },
@@ -202,8 +218,8 @@ impl Format {
     #[must_use]
     pub fn holds_comments(self) -> bool {
         match self {
-            Self::Ply { .. } | Self::Las { .. } | Self::Pcd { .. } => true,
-            Self::Xyz { .. } | Self::Npy { .. } => false,
+            Self::Ply { .. } | Self::Las { .. } | Self::Pcd { .. } | Self::E57 => true,
+            Self::Xyz { .. } | Self::Npy { .. } | Self::Off | Self::Obj => false,
         }
     }
 
@@ -212,8 +228,9 @@ impl Format {
     #[must_use]
     pub fn is_streamed(self) -> bool {
         match self {
-            Self::Pcd { encoding: PcdEncoding::Compressed, .. } | Self::Las { .. } => false,
+            Self::Pcd { encoding: PcdEncoding::Compressed, .. } => false,
             Self::Ply { .. } | Self::Xyz { .. } | Self::Npy { .. } | Self::Pcd { .. } => true,
+            Self::Las { .. } | Self::E57 | Self::Off | Self::Obj => false,
         }
     }
 
@@ -221,8 +238,10 @@ impl Format {
     /// known of the cloud.
     #[must_use]
     pub fn cannot_hold(self, attributes: &[Attribute], origin: &Origin) -> Vec<String> {
-        let _ = attributes;
         let mut lost = Vec::new();
+        if let Self::E57 = self {
+            lost.extend(e57::not_held(attributes));
+        }
         let las = origin.las.as_deref();
         if let Self::Las { .. } = self {
             if las.is_some_and(|las| las.is_indexed) {
@@ -249,12 +268,13 @@ impl Format {
     }
 
     /// The media types of all that is written; see [`Format::media_type`].
-    pub const MEDIA_TYPES: [&str; 7] = [
+    pub const MEDIA_TYPES: [&str; 8] = [
         "application/x-ply",
         "application/vnd.las",
         "application/vnd.laszip",
         "application/x-pcd",
         "application/x-npy",
+        "model/e57",
         "text/plain",
         "text/csv",
     ];
@@ -271,6 +291,7 @@ impl Format {
             "application/vnd.laszip" => "laz",
             "application/x-pcd" => "pcd",
             "application/x-npy" => "npy",
+            "model/e57" => "e57",
             _ => return None,
         };
         Self::from_extension(Path::new(&format!("cloud.{extension}")))
@@ -287,6 +308,9 @@ impl Format {
             Self::Las { compressed: true } => "application/vnd.laszip",
             Self::Pcd { .. } => "application/x-pcd",
             Self::Npy { .. } => "application/x-npy",
+            Self::E57 => "model/e57",
+            Self::Off => "model/vnd.off",
+            Self::Obj => "model/obj",
         }
     }
 
@@ -318,7 +342,9 @@ impl Format {
                 let fields = pcd::columns(attributes, PcdEncoding::Binary, 0..0);
                 points.checked_mul(3 * scalar.size() + bytes_a_point(&fields))?.checked_add(header)
             }
-            Self::Xyz { .. } | Self::Las { .. } | Self::Pcd { .. } => None,
+            Self::Xyz { .. } | Self::Las { .. } | Self::Pcd { .. } | Self::E57 | Self::Off | Self::Obj => {
+                None
+            }
         }
     }
 }
@@ -337,6 +363,9 @@ impl fmt::Display for Format {
                 let fields = if *fields { ", fields" } else { "" };
                 write!(f, "NumPy ({}-bit{fields})", 8 * scalar.size())
             }
+            Self::E57 => f.write_str("E57"),
+            Self::Off => f.write_str("OFF"),
+            Self::Obj => f.write_str("OBJ"),
             Self::Las { compressed: false } => f.write_str("LAS"),
             Self::Las { compressed: true } => f.write_str("LAZ"),
             Self::Pcd { encoding, scalar } => {

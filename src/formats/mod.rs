@@ -7,8 +7,10 @@
 //! | XYZ and its relatives (text columns; attributes) | read, write | |
 //! | LAS, LAZ, COPC (every point format, extra bytes) | read | |
 //! | PCD (ascii, binary, compressed) | read | |
+//! | E57 (all scans, attributes) | read, write | |
 //! | NumPy `.npy` (tables and structures of any numbers) | read, write | |
-//! | OFF | | read |
+//! | OFF | read (vertices) | read |
+//! | OBJ | read (vertices) | |
 //!
 //! A reader is opened first and read second: [`CloudReader::open`] parses the header alone, so that
 //! limits are checked, and a refusal sent, before any point is read. What a header *claims* is never
@@ -28,11 +30,13 @@
 //! # Ok::<(), densecloud::formats::FormatError>(())
 //! ```
 
+mod e57;
 mod error;
 mod format;
 mod las;
 mod mesh;
 mod npy;
+mod obj;
 mod off;
 mod pcd;
 mod ply;

@@ -4,14 +4,14 @@ use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
-use super::las;
 use super::npy::{self, NpyHeader};
+use super::off::{self, OffHeader};
 use super::pcd::PcdHeader;
 use super::ply::{self, PlyHeader};
 use super::source::Source;
-use super::text::shown;
+use super::text::{next_token, shown, strip_comment};
 use super::xyz::XyzReader;
-use super::{Format, FormatError, Header, Limits};
+use super::{Format, FormatError, Header, Limits, e57, las, obj};
 use crate::cloud::Cloud;
 
 /// Reads one cloud: [`open`](Self::open) takes the header, [`read`](Self::read) the points.
@@ -30,6 +30,9 @@ enum Body {
     Las,
     Pcd(PcdHeader),
     Npy(NpyHeader),
+    E57,
+    Off(OffHeader),
+    Obj,
 }
 
 impl<R: Read> CloudReader<R> {
@@ -59,22 +62,24 @@ impl<R: Read> CloudReader<R> {
                 let (npy, header) = NpyHeader::open(&mut source, limits)?;
                 Ok(Self { source, header, body: Body::Npy(npy), limits })
             }
+            Sniffed::Off => {
+                let (off, header) = OffHeader::open(&mut source, limits)?;
+                Ok(Self { source, header, body: Body::Off(off), limits })
+            }
+            Sniffed::Obj => Ok(Self { source, header: obj::header(), body: Body::Obj, limits }),
+            Sniffed::E57 => {
+                let header = e57::open(&mut source)?;
+                Ok(Self { source, header, body: Body::E57, limits })
+            }
             Sniffed::Las => {
                 let header = las::open(&mut source, limits)?;
                 Ok(Self { source, header, body: Body::Las, limits })
             }
-            Sniffed::Text
-                if matches!(expected, Some(Format::Ply { .. } | Format::Las { .. } | Format::Pcd { .. })) =>
-            {
-                let begins = match expected {
-                    Some(Format::Las { .. }) => "`LASF`",
-                    Some(Format::Pcd { .. }) => "`# .PCD`",
-                    _ => "the line `ply`",
-                };
-                let found = format!("text that does not begin with {begins}");
-                Err(FormatError::Unrecognised { found })
-            }
             Sniffed::Text => {
+                if let Some(begins) = expected.and_then(beginning) {
+                    let found = format!("text that does not begin with {begins}");
+                    return Err(FormatError::Unrecognised { found });
+                }
                 let (xyz, header) = XyzReader::open(&mut source, limits)?;
                 Ok(Self { source, header, body: Body::Xyz(xyz), limits })
             }
@@ -100,6 +105,9 @@ impl<R: Read> CloudReader<R> {
             Body::Xyz(xyz) => xyz.read(&mut self.source, self.limits)?,
             Body::Pcd(pcd) => pcd.read(&mut self.source)?,
             Body::Npy(npy) => npy.read(&mut self.source)?,
+            Body::Off(off) => off.read(&mut self.source)?,
+            Body::Obj => obj::read(&mut self.source, self.limits)?,
+            Body::E57 => e57::read(&mut self.source, self.limits)?,
             Body::Las => las::read(&mut self.source)?,
         };
         if cloud.positions.is_empty() {
@@ -125,27 +133,41 @@ pub fn read_cloud_file(path: &Path) -> Result<(Cloud, Header), FormatError> {
     Ok((reader.read()?, header))
 }
 
+/// What the files of a format begin with, if not with points.
+fn beginning(format: Format) -> Option<&'static str> {
+    match format {
+        Format::Ply { .. } => Some("the line `ply`"),
+        Format::Las { .. } => Some("`LASF`"),
+        Format::Pcd { .. } => Some("`# .PCD`"),
+        Format::Npy { .. } => Some("`\\x93NUMPY`"),
+        Format::E57 => Some("`ASTM-E57`"),
+        Format::Off => Some("`OFF`"),
+        Format::Obj => Some("lines such as `v 1 2 3`"),
+        Format::Xyz { .. } => None,
+    }
+}
+
 enum Sniffed {
     Ply,
     Pcd,
     Las,
     Npy,
+    E57,
+    Off,
+    Obj,
     Text,
     Other(String),
     Nothing,
 }
 
 /// First bytes of formats that people will try, to name them in the refusal.
-const KNOWN: [(&[u8], &str); 9] = [
-    (b"ASTM-E57", "an E57 file"),
+const KNOWN: [(&[u8], &str); 6] = [
     (b"\x1F\x8B", "a gzip file"),
     (b"\x28\xB5\x2F\xFD", "a Zstandard file"),
     (b"PK\x03\x04", "a ZIP file (an .npz is one; unpack it)"),
     (b"glTF", "a glTF mesh"),
     (b"solid ", "an STL mesh"),
     (b"\x89HDF", "an HDF5 file"),
-    (b"COFF", "an OFF mesh (a cloud can be sampled from it with `densecloud sample`)"),
-    (b"OFF", "an OFF mesh (a cloud can be sampled from it with `densecloud sample`)"),
 ];
 
 fn sniff(head: &[u8]) -> Sniffed {
@@ -164,6 +186,9 @@ fn sniff(head: &[u8]) -> Sniffed {
     if head.starts_with(b"LASF") {
         return Sniffed::Las;
     }
+    if head.starts_with(e57::MAGIC) {
+        return Sniffed::E57;
+    }
     if head.starts_with(npy::MAGIC) {
         return Sniffed::Npy;
     }
@@ -174,5 +199,10 @@ fn sniff(head: &[u8]) -> Sniffed {
     if head.iter().any(control) {
         return Sniffed::Other(format!("binary data that begin with {}", shown(&head[..head.len().min(8)])));
     }
-    Sniffed::Text
+    let mut lines = head.split(|b| matches!(b, b'\n' | b'\r'));
+    let first = lines.find_map(|line| next_token(&mut strip_comment(line)));
+    if first.is_some_and(off::is_keyword) {
+        return Sniffed::Off;
+    }
+    if obj::is_obj(head) { Sniffed::Obj } else { Sniffed::Text }
 }

@@ -94,6 +94,16 @@ impl<R: Read> Source<R> {
         Ok(Some(&self.buffer[self.start - count..self.start]))
     }
 
+    /// Consumes and copies all that is left.
+    pub(super) fn rest(&mut self) -> Result<Vec<u8>, FormatError> {
+        let mut bytes = Vec::new();
+        while self.ensure(1)? {
+            bytes.extend_from_slice(self.buffered());
+            self.consume(self.buffered().len());
+        }
+        Ok(bytes)
+    }
+
     /// Consumes `count` bytes; false when the data end before.
     pub(super) fn skip(&mut self, mut count: u64) -> Result<bool, FormatError> {
         loop {

@@ -1,7 +1,9 @@
 //! Whole files in, clouds and meshes out, and back.
 
 mod broken;
+mod e57_files;
 mod las_files;
+mod mesh_clouds;
 mod meshes;
 mod npy_files;
 mod pcd_files;

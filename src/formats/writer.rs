@@ -4,7 +4,7 @@ use std::io::Write;
 use std::sync::Arc;
 
 use super::ply::kind_name;
-use super::{Format, FormatError, PcdEncoding, PlyEncoding, Scalar, Separator, las, npy, pcd};
+use super::{Format, FormatError, PcdEncoding, PlyEncoding, Scalar, Separator, e57, las, npy, pcd};
 use crate::cloud::{Attribute, Column, Kind, Origin, Position, Table, Values, each_kind};
 
 /// Points encoded between two writes to the sink.
@@ -47,7 +47,14 @@ pub fn encode<W: Write>(
         Format::Pcd { encoding: PcdEncoding::Compressed, scalar } => {
             pcd::encode_compressed(scalar, positions, attributes, origin)?
         }
-        Format::Ply { .. } | Format::Xyz { .. } | Format::Npy { .. } | Format::Pcd { .. } => {
+        Format::E57 => e57::encode(positions, attributes, origin)?,
+        // `with` refuses what is not written.
+        Format::Off
+        | Format::Obj
+        | Format::Ply { .. }
+        | Format::Xyz { .. }
+        | Format::Npy { .. }
+        | Format::Pcd { .. } => {
             let mut writer = CloudWriter::with(sink, format, positions.len() as u64, attributes, origin)?;
             writer.write_rows(positions, attributes, 0)?;
             return writer.finish();
@@ -92,8 +99,11 @@ impl<W: Write> CloudWriter<W> {
             Format::Pcd { encoding: encoding @ (PcdEncoding::Ascii | PcdEncoding::Binary), scalar } => {
                 sink.write_all(pcd::header(encoding, scalar, points, attributes, origin).as_bytes())?;
             }
-            Format::Las { .. } | Format::Pcd { .. } => {
-                let why = "LAS, LAZ and compressed PCD are made as a whole, not in parts";
+            Format::Off | Format::Obj => {
+                return Err(FormatError::NotWritten("OFF and OBJ are read only".into()));
+            }
+            Format::Las { .. } | Format::Pcd { .. } | Format::E57 => {
+                let why = "LAS, LAZ, E57 and compressed PCD are made as a whole, not in parts";
                 return Err(FormatError::NotWritten(why.into()));
             }
         }
@@ -138,7 +148,7 @@ impl<W: Write> CloudWriter<W> {
             let scratch = &mut self.scratch;
             match self.format {
                 // `with` lets none of the others through.
-                Format::Las { .. } => {}
+                Format::Las { .. } | Format::E57 | Format::Off | Format::Obj => {}
                 Format::Xyz { separator, .. } => write_text(scratch, block, attributes, from, separator, Ok)?,
                 Format::Npy { scalar: Scalar::F32, fields } => {
                     write_npy(scratch, block, attributes, from, fields, |v| narrow(v).map(f32::to_le_bytes))?;

@@ -28,7 +28,8 @@ pub(super) struct XyzReader {
 }
 
 /// A column as it is read: whole numbers for as long as there is nothing else.
-enum Column {
+#[derive(Debug)]
+pub(super) enum Column {
     Whole(Vec<i64>),
     Real(Vec<f64>),
     /// Something in it is no number.
@@ -71,10 +72,8 @@ impl XyzReader {
                     _ if line.contains(&b';') => Separator::Semicolon,
                     _ => Separator::Space,
                 };
-                reader.others = (0..width)
-                    .filter(|i| !reader.columns.contains(i))
-                    .map(|i| (i, Column::Whole(Vec::new())))
-                    .collect();
+                reader.others =
+                    (0..width).filter(|i| !reader.columns.contains(i)).map(|i| (i, Column::new())).collect();
                 reader.first = Some(row(reader.columns, &mut reader.others, source, line)?);
                 break;
             }
@@ -186,8 +185,12 @@ fn row<R: Read>(
 }
 
 impl Column {
+    pub(super) fn new() -> Self {
+        Self::Whole(Vec::new())
+    }
+
     /// Appends a field; an empty one is a NaN.
-    fn push(&mut self, field: &[u8]) {
+    pub(super) fn push(&mut self, field: &[u8]) {
         if let Self::Whole(numbers) = self {
             if let Some(number) = std::str::from_utf8(field).ok().and_then(|f| f.parse().ok()) {
                 numbers.push(number);
@@ -204,7 +207,7 @@ impl Column {
     }
 
     /// The numbers in the smallest usual type that holds them: bytes, 32-bit and 64-bit integers, doubles.
-    fn into_values(self) -> Option<Values> {
+    pub(super) fn into_values(self) -> Option<Values> {
         let all = |numbers: &[i64], lo: i64, hi: i64| numbers.iter().all(|n| (lo..=hi).contains(n));
         match self {
             Self::Whole(n) if all(&n, 0, 255) => Some(Values::U8(n.iter().map(|&v| v as u8).collect())),

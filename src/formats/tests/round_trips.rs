@@ -128,7 +128,7 @@ fn extensions_tell_formats() {
         assert_eq!(of(name), Some(Format::TEXT));
     }
     assert_eq!(of("a.CSV"), Some(Format::Xyz { names: false, separator: Separator::Comma }));
-    assert_eq!(of("a.obj"), None);
+    assert_eq!(of("a.stl"), None);
     assert_eq!(of("ply"), None);
 }
 

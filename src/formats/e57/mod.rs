@@ -1,0 +1,129 @@
+//! E57, by the `e57` crate: all scans of a file as one cloud, and back.
+//!
+//! The format has columns of fixed names for what scanners tell of a point. Surface normals are in the
+//! extension `nor` that libe57 documents; every other attribute is in one of our own, `densecloud`, whose
+//! columns are the attributes' names ([`tag`]).
+
+mod read;
+mod write;
+
+use ::e57::RecordName;
+
+pub(super) use read::{MAGIC, open, read};
+pub(super) use write::{encode, not_held};
+
+/// The extension of surface normals, and its address.
+const NORMALS: (&str, &str) = ("nor", "http://www.libe57.org/E57_NOR_surface_normals.txt");
+
+/// The extension of all other attributes.
+const OURS: (&str, &str) = ("densecloud", "urn:densecloud:e57:attributes");
+
+/// What begins the column's name of an attribute whose own would mean something else. No other name
+/// begins so: an escape follows its first dash with a digit or a letter.
+const GUARD: &str = "_--";
+
+/// The format's own names, which the crate takes for them in any namespace.
+const RESERVED: [&str; 20] = [
+    "cartesianX",
+    "cartesianY",
+    "cartesianZ",
+    "cartesianInvalidState",
+    "sphericalRange",
+    "sphericalAzimuth",
+    "sphericalElevation",
+    "sphericalInvalidState",
+    "intensity",
+    "isIntensityInvalid",
+    "colorRed",
+    "colorGreen",
+    "colorBlue",
+    "isColorInvalid",
+    "rowIndex",
+    "columnIndex",
+    "returnCount",
+    "returnIndex",
+    "timeStamp",
+    "isTimeStampInvalid",
+];
+
+/// Attributes that the format has columns for. The number of a return is counted from 0 in the file, and
+/// from 1 as an attribute, as LAS has it.
+const STANDARD: [(RecordName, &str); 12] = [
+    (RecordName::ColorRed, "red"),
+    (RecordName::ColorGreen, "green"),
+    (RecordName::ColorBlue, "blue"),
+    (RecordName::IsColorInvalid, "color_invalid"),
+    (RecordName::Intensity, "intensity"),
+    (RecordName::IsIntensityInvalid, "intensity_invalid"),
+    (RecordName::RowIndex, "row_index"),
+    (RecordName::ColumnIndex, "column_index"),
+    (RecordName::ReturnIndex, "return_number"),
+    (RecordName::ReturnCount, "number_of_returns"),
+    (RecordName::TimeStamp, "timestamp"),
+    (RecordName::IsTimeStampInvalid, "timestamp_invalid"),
+];
+
+/// The attribute that tells the scan of each point where there are several.
+const SCAN: &str = "scan";
+
+/// The column's name of an attribute: XML allows few characters, so others are their codes between dashes.
+fn tag(name: &str) -> String {
+    let mut tag = String::new();
+    for c in name.chars() {
+        if c.is_ascii_alphanumeric() || c == '_' {
+            tag.push(c);
+        } else {
+            tag += &format!("-{:X}-", u32::from(c));
+        }
+    }
+    let first = tag.chars().next();
+    let xml = tag.get(..3).is_some_and(|start| start.eq_ignore_ascii_case("xml"));
+    if xml || RESERVED.contains(&tag.as_str()) || !first.is_some_and(|c| c.is_ascii_alphabetic() || c == '_')
+    {
+        tag.insert_str(0, GUARD);
+    }
+    tag
+}
+
+/// The attribute's name of a column: what [`tag`] was given.
+fn untag(tag: &str) -> String {
+    let mut rest = tag.strip_prefix(GUARD).unwrap_or(tag);
+    let mut name = String::new();
+    while let Some((plain, after)) = rest.split_once('-') {
+        let code = after.split_once('-').and_then(|(code, after)| {
+            let c = char::from_u32(u32::from_str_radix(code, 16).ok()?)?;
+            Some((c, after))
+        });
+        // Not one of ours.
+        let Some((c, after)) = code else { return tag.to_owned() };
+        name += plain;
+        name.push(c);
+        rest = after;
+    }
+    name + rest
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_name_is_a_column_and_back() {
+        for (name, column) in [
+            ("curvature", "curvature"),
+            ("a b", "a-20-b"),
+            ("", "_--"),
+            ("_-", "_-2D-"),
+            ("_--x", "_-2D--2D-x"),
+            ("9", "_--9"),
+            ("-", "_---2D-"),
+            ("xmlns", "_--xmlns"),
+            ("timeStamp", "_--timeStamp"),
+            ("grün😀", "gr-FC-n-1F600-"),
+        ] {
+            assert_eq!(tag(name), column);
+            assert_eq!(untag(column), name, "{column}");
+        }
+        assert_eq!(untag("a-b"), "a-b", "of other programs");
+    }
+}
