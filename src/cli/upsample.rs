@@ -121,6 +121,7 @@ pub(super) fn run(args: &UpsampleArgs) -> Result<(), CliError> {
     for warning in outcome.warnings() {
         note(format!("warning: {warning}"));
     }
+    let format = if format.is_like(header.format) { format } else { format.narrowed(&outcome.positions) };
     let lost = format.cannot_hold(&outcome.attributes, &origin);
     if !lost.is_empty() {
         note(format!("warning: the output's format has no place for {}", lost.join(", ")));

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use super::pcd;
 use super::writer::ply_header;
-use crate::cloud::{Attribute, Origin, bytes_a_point};
+use crate::cloud::{Attribute, Origin, Position, bytes_a_point};
 
 /// A file format and the choices within it. A reader reports it and a writer takes it, so that a
 /// cloud goes back in the form it came in.
@@ -165,6 +165,26 @@ impl Format {
             (Some(Self::Ply { encoding, .. }), _) => Self::Ply { encoding, scalar: input.scalar() },
             (Some(Self::Pcd { encoding, .. }), _) => Self::Pcd { encoding, scalar: input.scalar() },
         }
+    }
+
+    /// PCD with coordinates of 32 bits in place of 64 where that moves no point by more than a thousandth
+    /// of the points' distance (the extent over the root of their number): much that reads PCD knows no
+    /// others. All else as it is.
+    #[must_use]
+    pub fn narrowed(self, positions: &[Position]) -> Self {
+        let Self::Pcd { encoding, scalar: Scalar::F64 } = self else { return self };
+        let (mut farthest, mut extent) = (0.0_f64, 0.0_f64);
+        for axis in 0..3 {
+            let along = || positions.iter().map(|p| p[axis]);
+            let (min, max) =
+                (along().fold(f64::INFINITY, f64::min), along().fold(f64::NEG_INFINITY, f64::max));
+            farthest = farthest.max(-min).max(max);
+            extent = extent.max(max - min);
+        }
+        let fits =
+            farthest * f64::from(f32::EPSILON) / 2.0 <= 1e-3 * extent / (positions.len() as f64).sqrt();
+        let scalar = if fits && farthest < f64::from(f32::MAX) { Scalar::F32 } else { Scalar::F64 };
+        Self::Pcd { encoding, scalar }
     }
 
     /// Whether [`CloudWriter`](super::CloudWriter) writes it in parts; if not, only

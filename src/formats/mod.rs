@@ -5,8 +5,8 @@
 //! |---|---|---|
 //! | PLY (ascii, binary of both byte orders; any scalar types; attributes) | read, write | read |
 //! | XYZ and its relatives (text columns; attributes) | read, write | |
-//! | LAS, LAZ, COPC (every point format, extra bytes) | read | |
-//! | PCD (ascii, binary, compressed) | read | |
+//! | LAS, LAZ (every point format, extra bytes); COPC, as the LAZ that it is | read, write | |
+//! | PCD (ascii, binary, compressed) | read, write | |
 //! | OFF | | read |
 //!
 //! A reader is opened first and read second: [`CloudReader::open`] parses the header alone, so that

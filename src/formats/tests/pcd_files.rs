@@ -202,6 +202,25 @@ fn the_header_is_that_of_pcl() {
 }
 
 #[test]
+fn coordinates_are_narrowed_where_nothing_is_lost() {
+    let format = |scalar| Format::Pcd { encoding: PcdEncoding::Binary, scalar };
+    let cloud = |far: f64| [[far, 0.0, 0.0], [far + 1.0, 1.0, 0.0]];
+    for (far, scalar) in [
+        (0.0, Scalar::F32),
+        (-1000.0, Scalar::F32),
+        (5e6, Scalar::F64),
+        (-5e6, Scalar::F64),
+        (1e300, Scalar::F64),
+    ] {
+        assert_eq!(format(Scalar::F64).narrowed(&cloud(far)), format(scalar), "{far}");
+    }
+    assert_eq!(
+        ply(PlyEncoding::Ascii, Scalar::F64).narrowed(&cloud(0.0)),
+        ply(PlyEncoding::Ascii, Scalar::F64)
+    );
+}
+
+#[test]
 fn what_cannot_be_compressed_is_written_plainly() {
     let mut state = 1_u64;
     let mut random = || {
