@@ -182,9 +182,10 @@ fn what_is_written_is_read() {
 fn the_header_is_that_of_pcl() {
     let mut cloud = everything(false);
     cloud.attributes.truncate(3);
-    for axis in ["nx", "ny", "nz", "a b#"] {
-        cloud.attributes.push(Attribute { name: axis.into(), values: Values::F32(vec![0.5; 300]) });
+    for axis in ["nx", "ny", "nz"] {
+        cloud.attributes.push(Attribute { name: axis.into(), values: Values::F64(vec![0.5; 300]) });
     }
+    cloud.attributes.push(Attribute { name: "a b#".into(), values: Values::F32(vec![0.5; 300]) });
     let format = |encoding| Format::Pcd { encoding, scalar: Scalar::F32 };
     let expected = "# .PCD v0.7 - Point Cloud Data file format\n# crs: EPSG:25832\n# one # two\n# three\nVERSION 0.7\n\
         FIELDS x y z rgb normal_x normal_y normal_z a_b_\nSIZE 4 4 4 4 4 4 4 4\nTYPE F F F F F F F F\n\
