@@ -5,6 +5,7 @@ import struct
 import laspy
 import numpy as np
 import pytest
+
 from conftest import assert_on_sphere
 
 WKT = (

@@ -4,6 +4,7 @@ import numpy as np
 import open3d
 import pypcd4
 import pytest
+
 from conftest import assert_on_sphere
 
 CENTRE = np.array([465_123.25, 5_204_987.5, 812.125])
