@@ -191,7 +191,8 @@ impl Format {
             (Some(wanted), input) if wanted.is_like(input) => input,
             (Some(Self::Ply { encoding, .. }), _) => Self::Ply { encoding, scalar: input.scalar() },
             (Some(Self::Npy { fields, .. }), _) => Self::Npy { scalar: input.scalar(), fields },
-            (Some(Self::Pcd { encoding, .. }), _) => Self::Pcd { encoding, scalar: input.scalar() },
+            // Much that reads PCD knows no others; see `fine_enough`.
+            (Some(Self::Pcd { encoding, .. }), _) => Self::Pcd { encoding, scalar: Scalar::F32 },
         }
     }
 

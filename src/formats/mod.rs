@@ -5,8 +5,8 @@
 //! |---|---|---|
 //! | PLY (ascii, binary of both byte orders; any scalar types; attributes) | read, write | read |
 //! | XYZ and its relatives (text columns; attributes) | read, write | |
-//! | LAS, LAZ, COPC (every point format, extra bytes) | read | |
-//! | PCD (ascii, binary, compressed) | read | |
+//! | LAS, LAZ (every point format, extra bytes); COPC, as the LAZ that it is | read, write | |
+//! | PCD (ascii, binary, compressed) | read, write | |
 //! | E57 (all scans, attributes) | read, write | |
 //! | NumPy `.npy` (tables and structures of any numbers) | read, write | |
 //! | OFF | read (vertices) | read |

@@ -28,8 +28,8 @@ pub(super) struct Dense {
 /// Memory that a result takes until it is sent: of so many points, with so many bytes of attributes each.
 pub(super) fn result_bytes(points: u64, attribute_bytes: u64, format: Format) -> u64 {
     let a_point = size_of::<Position>() as u64 + attribute_bytes;
-    // What is not streamed is there twice: as points and as the file.
-    points.saturating_mul(if format.is_streamed() { a_point } else { 2 * a_point + 16 })
+    // What is not streamed is there as points and as the file, and in between as what is compressed.
+    points.saturating_mul(if format.is_streamed() { a_point } else { 3 * a_point + 16 })
 }
 
 /// A result as a response's body.

@@ -2,10 +2,11 @@
 
 use densecloud::backend::ModelName;
 use densecloud::cascade::Target;
-use densecloud::formats::{CloudReader, Format, Limits, PlyEncoding, Scalar, Separator};
+use densecloud::cloud::{Attribute, Origin, Values};
+use densecloud::formats::{self, CloudReader, Format, Limits, PcdEncoding, PlyEncoding, Scalar, Separator};
 use densecloud::server::{Config, ModelInfo};
 
-use crate::support::{PLY, Reply, Scripted, Server, cloud, dense, encode, encode_result};
+use crate::support::{PLY, Reply, Scripted, Server, cloud, dense, encode, encode_result, outcome};
 
 #[test]
 fn the_answer_is_the_librarys_own_result_in_the_format_of_the_request() {
@@ -35,6 +36,38 @@ fn the_answer_is_the_librarys_own_result_in_the_format_of_the_request() {
         for stage in ["upload", "parse", "queue", "seeds", "patches", "units", "resample"] {
             assert!(timing.contains(&format!("{stage};dur=")), "{timing}");
         }
+    }
+}
+
+#[test]
+fn las_and_pcd_are_answered_as_such() {
+    let server = Server::start(&Scripted::new(), Config::default());
+    let pcd = |encoding| Format::Pcd { encoding, scalar: Scalar::F32 };
+    for (format, media) in [
+        (Format::Las { compressed: false }, "application/vnd.las"),
+        (Format::Las { compressed: true }, "application/vnd.laszip"),
+        (pcd(PcdEncoding::Ascii), "application/x-pcd"),
+        (pcd(PcdEncoding::Binary), "application/x-pcd"),
+        (pcd(PcdEncoding::Compressed), "application/x-pcd"),
+    ] {
+        let intensity = Attribute { name: "intensity".into(), values: Values::U16((0..300).collect()) };
+        let origin = Origin { crs: "EPSG:25832".parse().ok(), ..Origin::default() };
+        let body = formats::encode(Vec::new(), format, &cloud(300), &[intensity], &origin).expect("a file");
+        let reply = server.post("/upsample?ratio=4", &body);
+        assert_eq!(reply.status, 200, "{format:?}: {}", reply.text());
+        assert_eq!(reply.header("content-type"), Some(media));
+        assert_eq!(reply.header("densecloud-warning"), None);
+        let cloud =
+            CloudReader::open(&body[..], Limits::default()).expect("a header").read().expect("a cloud");
+        let origin = cloud.origin.clone();
+        let dense = outcome(cloud, Target::Ratio(4.0), 0);
+        let mut origin = origin;
+        origin.comments.push(reply.header("densecloud-provenance").expect("provenance").to_owned());
+        let expected = formats::encode(Vec::new(), format, &dense.positions, &dense.attributes, &origin);
+        assert!(reply.body == expected.expect("a file"), "{format:?}");
+        let back = CloudReader::open(&reply.body[..], Limits::default()).expect("a header");
+        assert!(back.header().format.is_like(format));
+        assert_eq!(back.read().expect("a cloud").origin.crs, origin.crs);
     }
 }
 

@@ -9,8 +9,8 @@ use std::time::{Duration, Instant};
 use densecloud::attributes::Finish;
 use densecloud::backend::{Backend, BackendError, Batch, Fake, Output, Session, UnitShape};
 use densecloud::cascade::{Settings, Target};
-use densecloud::cloud::{Origin, Position};
-use densecloud::engine::{Engine, EngineConfig, Request};
+use densecloud::cloud::{Cloud, Origin, Position};
+use densecloud::engine::{Engine, EngineConfig, Outcome, Request};
 use densecloud::formats::{CloudWriter, Format, PlyEncoding, Scalar};
 use densecloud::server::{self, Config, ServeError};
 use tokio::sync::oneshot;
@@ -340,11 +340,16 @@ pub(crate) fn encode_result(positions: &[Position], format: Format, reply: &Repl
 
 /// What the library gives, without a server.
 pub(crate) fn dense(positions: Vec<Position>, target: Target, seed: u64) -> Vec<Position> {
+    outcome(positions.into(), target, seed).positions
+}
+
+/// As [`dense`], with all that there is about the positions.
+pub(crate) fn outcome(cloud: Cloud, target: Target, seed: u64) -> Outcome {
     let sizes = EngineConfig { threads: 1, ..Default::default() };
     let engine = Engine::with_backend(Arc::new(Fake::new()), sizes).unwrap();
     let settings = Settings { seed, ..Default::default() };
-    let request = Request { cloud: positions.into(), target, settings, finish: Finish::default() };
-    engine.submit(request).unwrap().wait().unwrap().positions
+    let request = Request { cloud, target, settings, finish: Finish::default() };
+    engine.submit(request).unwrap().wait().unwrap()
 }
 
 pub(crate) fn wait_until(what: &str, mut condition: impl FnMut() -> bool) {

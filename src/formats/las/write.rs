@@ -17,7 +17,7 @@ use crate::cloud::{Attribute, LasOrigin, LasRecord, Origin, Position, Values, ea
 /// Points encoded at a time.
 const BLOCK: usize = 1 << 16;
 
-/// Steps from an offset that are surely written: the bounds are rounded outwards, by less than the rest.
+/// Steps from an offset that are surely written: the crate rounds the bounds outwards, by less than the rest.
 const FARTHEST: f64 = 2_147_483_600.0;
 
 /// A cloud as a file. What comes from LAS keeps its version, point format, scale, offset and records; else
@@ -142,14 +142,18 @@ impl<'a> Plan<'a> {
         let mut block = PointDataBuilder::new().for_header(&header).build();
         let stride = block.record_len();
         let mut writer = Writer::new(Cursor::new(Vec::new()), header).map_err(failed)?;
+        let mut reach: [Option<(i32, i32)>; 3] = [None; 3];
         for (i, part) in positions.chunks(BLOCK).enumerate() {
             let rows = block.resize_for(part.len());
             rows.fill(0);
             for (row, position) in rows.chunks_exact_mut(stride).zip(part) {
-                for ((place, coordinate), axis) in row.chunks_exact_mut(4).zip(position).zip(self.axes) {
+                for (i, place) in row[..12].chunks_exact_mut(4).enumerate() {
+                    let axis = self.axes[i];
                     // `as` saturates; the offset was chosen so that it need not.
-                    let steps = ((coordinate - axis.offset) / axis.scale).round() as i32;
+                    let steps = ((position[i] - axis.offset) / axis.scale).round() as i32;
                     place.copy_from_slice(&steps.to_le_bytes());
+                    let (least, most) = reach[i].unwrap_or((steps, steps));
+                    reach[i] = Some((least.min(steps), most.max(steps)));
                 }
             }
             for column in &self.columns {
@@ -159,6 +163,10 @@ impl<'a> Plan<'a> {
         }
         let mut bytes = writer.into_inner().map_err(failed)?.into_inner();
         patch(&mut bytes, &self.las, encoding, self.format.is_extended);
+        for (i, axis) in self.axes.iter().enumerate() {
+            let bounds = reach[i].map_or([0.0; 2], |(least, most)| [most, least].map(|n| axis.direct(n)));
+            bytes[179 + 16 * i..195 + 16 * i].copy_from_slice(&bounds.map(f64::to_le_bytes).concat());
+        }
         Ok(bytes)
     }
 
@@ -181,7 +189,8 @@ fn failed(why: las::Error) -> FormatError {
     FormatError::NotWritten(why.to_string())
 }
 
-/// What the header says that the `las` crate has other opinions of, or none.
+/// What the header says that the `las` crate has other opinions of, or none. The bounds are another such
+/// thing: the crate rounds those of the points outwards once more.
 fn patch(bytes: &mut [u8], las: &LasOrigin, encoding: u16, is_extended: bool) {
     let mut put = |at: usize, word: &[u8]| bytes[at..at + word.len()].copy_from_slice(word);
     put(4, &las.file_source_id.to_le_bytes());

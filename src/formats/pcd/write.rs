@@ -46,7 +46,7 @@ pub(in super::super) fn header(
 }
 
 /// The fields of some rows beside the position: as the attributes, but colours of 8 bits are packed into
-/// one number, `rgb` or, with `alpha`, `rgba`, and normals have the names that PCL looks for.
+/// one number, `rgb` or, with `alpha`, `rgba`, and normals have the names and the type that PCL looks for.
 pub(in super::super) fn columns(
     attributes: &[Attribute],
     encoding: PcdEncoding,
@@ -85,11 +85,15 @@ pub(in super::super) fn columns(
             ("green" | "blue", Some(_)) => {}
             ("alpha", Some(_)) if alpha.is_some() => {}
             _ => {
-                let name = match name {
-                    "nx" | "ny" | "nz" if has_normals => format!("normal_{}", &name[1..]),
-                    _ => name.to_owned(),
-                };
-                columns.push(Attribute { name, values: attribute.values.gather(&rows) });
+                let values = attribute.values.gather(&rows);
+                columns.push(match name {
+                    "nx" | "ny" | "nz" if has_normals => {
+                        let numbers = (0..values.len()).map(|i| values.get(i));
+                        let values = Values::from_f64(Kind::F32, numbers);
+                        Attribute { name: format!("normal_{}", &name[1..]), values }
+                    }
+                    _ => Attribute { name: name.to_owned(), values },
+                });
             }
         }
     }

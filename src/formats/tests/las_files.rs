@@ -302,7 +302,7 @@ fn what_comes_from_elsewhere_finds_its_place() {
             ("gps_time", 5),
             ("nx", 6),
             ("id", 7),
-            ("a name that is longer than what ", 8),
+            ("a name that is longer than what", 8),
             ("a name that is longer than what_", 9),
         ] {
             assert_eq!(column(&back, name), &cloud.attributes[from].values, "{name}");

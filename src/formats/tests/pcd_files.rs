@@ -182,9 +182,10 @@ fn what_is_written_is_read() {
 fn the_header_is_that_of_pcl() {
     let mut cloud = everything(false);
     cloud.attributes.truncate(3);
-    for axis in ["nx", "ny", "nz", "a b#"] {
-        cloud.attributes.push(Attribute { name: axis.into(), values: Values::F32(vec![0.5; 300]) });
+    for axis in ["nx", "ny", "nz"] {
+        cloud.attributes.push(Attribute { name: axis.into(), values: Values::F64(vec![0.5; 300]) });
     }
+    cloud.attributes.push(Attribute { name: "a b#".into(), values: Values::F32(vec![0.5; 300]) });
     let format = |encoding| Format::Pcd { encoding, scalar: Scalar::F32 };
     let expected = "# .PCD v0.7 - Point Cloud Data file format\n# crs: EPSG:25832\n# one # two\n# three\nVERSION 0.7\n\
         FIELDS x y z rgb normal_x normal_y normal_z a_b_\nSIZE 4 4 4 4 4 4 4 4\nTYPE F F F F F F F F\n\
@@ -201,6 +202,18 @@ fn the_header_is_that_of_pcl() {
     assert_eq!(read_content(&bytes).expect("a cloud").origin, Origin::default());
 }
 
+#[test]
+fn coordinates_from_elsewhere_are_narrow_where_nothing_is_lost() {
+    let wanted = Some(Format::Pcd { encoding: PcdEncoding::Binary, scalar: Scalar::F32 });
+    for (input, largest, scalar) in [
+        (ply(PlyEncoding::Ascii, Scalar::F64), 10.0, Scalar::F32),
+        (Format::TEXT, 5e6, Scalar::F64),
+        (Format::Pcd { encoding: PcdEncoding::Ascii, scalar: Scalar::F64 }, 10.0, Scalar::F64),
+    ] {
+        let format = Format::of_result(wanted, input, false).fine_enough([[0.0; 3], [largest; 3]], 0.01);
+        assert!(matches!(format, Format::Pcd { scalar: made, .. } if made == scalar), "{input}: {format}");
+    }
+}
 #[test]
 fn what_cannot_be_compressed_is_written_plainly() {
     let mut state = 1_u64;
