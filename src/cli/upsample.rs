@@ -22,10 +22,11 @@ Examples:
   densecloud upsample scan.xyz dense.ply --points 1000000
   cat scan.ply | densecloud upsample - - --ratio 2.5 > dense.ply")]
 pub(super) struct UpsampleArgs {
-    /// The sparse cloud: PLY, LAS, LAZ, PCD or text, recognised by its content; `-` for standard input
+    /// The sparse cloud: PLY, LAS, LAZ, E57, PCD, NumPy, OFF, OBJ or text, recognised by its content; `-` for standard
+    /// input
     input: PathBuf,
 
-    /// The dense cloud: .ply or .xyz (another or no extension: as the input, or PLY for formats that are only read);
+    /// The dense cloud: .ply, .xyz, .e57 or .npy (another or no extension: as the input, or PLY for formats that are only read);
     /// `-` for standard output
     output: PathBuf,
 
