@@ -6,7 +6,7 @@
 use std::sync::Arc;
 use std::time::Instant;
 
-use densecloud::attributes::Rules;
+use densecloud::attributes::Finish;
 use densecloud::backend::Model;
 use densecloud::cascade::{Settings, Stage, Target};
 use densecloud::engine::{Engine, EngineConfig, Request, StageTimes};
@@ -46,7 +46,7 @@ fn measure(engine: &Engine, points: usize, ratio: f64, polish: bool, runs: usize
             cloud: positions.clone().into(),
             target: Target::Ratio(ratio),
             settings: Settings { polish, ..Settings::default() },
-            rules: Rules::default(),
+            finish: Finish::default(),
         };
         let start = Instant::now();
         let outcome = engine.submit(request).expect("admitted").wait().expect("a dense cloud");

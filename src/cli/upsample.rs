@@ -26,11 +26,12 @@ Examples:
   densecloud upsample scan.laz dense.ply --spacing 0.05 --keep-input
   cat scan.ply | densecloud upsample - - --ratio 2.5 > dense.ply")]
 pub(super) struct UpsampleArgs {
-    /// The sparse cloud: PLY, LAS, LAZ, PCD or text, recognised by its content; `-` for standard input
+    /// The sparse cloud: PLY, LAS, LAZ, E57, PCD, NumPy, OFF, OBJ or text, recognised by its content; `-` for standard
+    /// input
     input: PathBuf,
 
-    /// The dense cloud: .ply, .las, .laz, .pcd or text such as .xyz (another or no extension: as the input); `-` for
-    /// standard output
+    /// The dense cloud: .ply, .las, .laz, .e57, .pcd, .npy or text such as .xyz (another or no extension: as the input);
+    /// `-` for standard output
     output: PathBuf,
 
     /// Points out for each point in, any number from 1 to 64 [default: 4]

@@ -133,6 +133,8 @@ mod tests {
             ply(PlyEncoding::Ascii, Scalar::F32),
             ply(PlyEncoding::BinaryLittleEndian, Scalar::F32),
             ply(PlyEncoding::BinaryBigEndian, Scalar::F64),
+            Format::Npy { scalar: Scalar::F64, fields: true },
+            Format::E57,
         ] {
             for count in [0, 1, BLOCK - 1, BLOCK, BLOCK + 1, 3 * BLOCK] {
                 let positions: Vec<Position> =

@@ -1,6 +1,7 @@
 """PLY against plyfile."""
 
 import numpy as np
+import open3d
 import plyfile
 import pytest
 
@@ -37,3 +38,58 @@ def test_what_plyfile_writes_is_read_and_what_is_written_plyfile_reads(tmp_path,
     assert np.abs(vertices["red"] - (127 + 120 * directions[:, 2])).max() < 8
     assert set(vertices["label"]) == {70_000, -5}
     assert set(vertices["time"]) <= set(rows["time"])
+
+
+def test_comments_and_other_elements_come_back_and_faces_do_not(tmp_path, sphere, upsample):
+    points, _ = sphere
+    rows = np.zeros(len(points), dtype=[(n, "f8") for n in "xyz"])
+    for axis, name in enumerate("xyz"):
+        rows[name] = points[:, axis]
+    cameras = np.array([(35.0, 7), (50.5, -7)], dtype=[("focal", "f4"), ("id", "i4")])
+    # By itself: plyfile writes numbers beside a list in the machine's order, whatever it was asked for.
+    tracks = np.zeros(2, dtype=[("times", "O")])
+    tracks["times"] = [np.array([1.5, 2.5, 3.5]), np.array([], dtype="f8")]
+    faces = np.zeros(1, dtype=[("vertex_indices", "O")])
+    faces["vertex_indices"] = [np.array([0, 1, 2], dtype="i4")]
+    elements = [
+        plyfile.PlyElement.describe(cameras, "camera"),
+        plyfile.PlyElement.describe(tracks, "track", val_types={"times": "f8"}, len_types={"times": "u2"}),
+        plyfile.PlyElement.describe(rows, "vertex"),
+        plyfile.PlyElement.describe(faces, "face"),
+    ]
+    for text, order in [(True, "="), (False, "<"), (False, ">")]:
+        source, result = tmp_path / "source.ply", tmp_path / "result.ply"
+        comments = ["by plyfile", "crs: EPSG:32632"]
+        plyfile.PlyData(elements, text=text, byte_order=order, comments=comments, obj_info=["a scanner"]).write(source)
+
+        said = upsample(source, result, "--ratio", 2)
+
+        assert "not carried over: face" in said
+        dense = plyfile.PlyData.read(result)
+        assert [element.name for element in dense.elements] == ["vertex", "camera", "track"]
+        assert {"by plyfile", "crs: EPSG:32632", "a scanner"} <= set(dense.comments)
+        camera = dense["camera"]
+        assert [str(p) for p in camera.properties] == [str(p) for p in elements[0].properties]
+        assert list(camera["focal"]) == [35.0, 50.5]
+        assert list(camera["id"]) == [7, -7]
+        assert str(dense["track"].properties[0]) == str(elements[1].properties[0])
+        assert [list(times) for times in dense["track"]["times"]] == [[1.5, 2.5, 3.5], []]
+
+
+def test_what_open3d_writes_is_read_and_what_is_written_open3d_reads(tmp_path, sphere, upsample):
+    points, normals = sphere
+    cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points))
+    cloud.normals = open3d.utility.Vector3dVector(normals)
+    cloud.colors = open3d.utility.Vector3dVector(0.5 + normals / 2)
+    source, result = tmp_path / "source.ply", tmp_path / "result.ply"
+    assert open3d.io.write_point_cloud(str(source), cloud)
+
+    upsample(source, result, "--ratio", 4)
+
+    dense = open3d.io.read_point_cloud(str(result))
+    xyz = np.asarray(dense.points)
+    assert len(xyz) == 4 * len(points)
+    assert_on_sphere(xyz)
+    directions = (xyz - np.array([465_123.25, 5_204_987.5, 812.125])) / 10
+    assert np.abs(np.asarray(dense.normals) - directions).max() < 0.1
+    assert np.abs(np.asarray(dense.colors) - (0.5 + directions / 2)).max() < 0.04

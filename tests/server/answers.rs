@@ -17,6 +17,7 @@ fn the_answer_is_the_librarys_own_result_in_the_format_of_the_request() {
         (ply(PlyEncoding::BinaryBigEndian, Scalar::F64), "ratio=2.5&seed=7", Target::Ratio(2.5), 7),
         (ply(PlyEncoding::Ascii, Scalar::F32), "points=1001", Target::Points(1001), 0),
         (Format::TEXT, "ratio=16", Target::Ratio(16.0), 0),
+        (Format::Npy { scalar: Scalar::F64, fields: false }, "ratio=3", Target::Ratio(3.0), 0),
     ] {
         let reply = server.post(&format!("/upsample?{query}"), &encode(&cloud(300), format));
         assert_eq!(reply.status, 200, "{query}: {}", reply.text());
@@ -28,7 +29,11 @@ fn the_answer_is_the_librarys_own_result_in_the_format_of_the_request() {
         assert_eq!(reply.header("densecloud-warning"), None);
         let binary = matches!(
             format,
-            Format::Ply { encoding: PlyEncoding::BinaryBigEndian | PlyEncoding::BinaryLittleEndian, .. }
+            Format::Npy { .. }
+                | Format::Ply {
+                    encoding: PlyEncoding::BinaryBigEndian | PlyEncoding::BinaryLittleEndian,
+                    ..
+                }
         );
         let length = binary.then(|| reply.body.len().to_string());
         assert_eq!(reply.header("content-length"), length.as_deref(), "told where it is known");

@@ -50,12 +50,15 @@ fn decode(bytes: Vec<u8>, end: Place, limits: Limits) -> Result<Cloud, FormatErr
     let bad = |why: ::e57::Error| {
         FormatError::malformed(end, format!("not a readable E57 file: {}", reasons(&why)))
     };
-    let mut reader = E57Reader::new(Cursor::new(bytes)).map_err(bad)?;
+    let mut reader = E57Reader::new(Cursor::new(bytes.as_slice())).map_err(bad)?;
     let scans = reader.pointclouds();
     check(&scans, length, limits).map_err(|why| match why {
         Refusal::TooMany(error) => error,
         Refusal::Contradiction(why) => FormatError::malformed(end, why),
     })?;
+    for scan in &scans {
+        check_packets(&bytes, scan).map_err(|why| FormatError::malformed(end, why))?;
+    }
     let mut cloud = Cloud::default();
     let mut columns: Vec<Column> = Vec::new();
     let mut invalid = 0_u64;
@@ -182,6 +185,59 @@ fn check(scans: &[PointCloud], length: u64, limits: Limits) -> Result<(), Refusa
         return Err(Refusal::Contradiction(why));
     }
     Ok(())
+}
+
+/// Bytes of a page, and of those that the checksum at its end leaves.
+const PAGE: (u64, u64) = (1024, 1020);
+
+/// Most numbers of a scan that are decoded before the rest of their points, all columns together. Writers
+/// keep columns together to a packet, which holds half a million at most.
+const MOST_AHEAD: u64 = 4_000_000;
+
+/// Refuses a scan some of whose columns are far ahead of others: they are decoded, and held, up to the
+/// last. What else is wrong is left to the crate.
+fn check_packets(bytes: &[u8], scan: &PointCloud) -> Result<(), String> {
+    let logical = |physical: u64| physical - physical / PAGE.0 * (PAGE.0 - PAGE.1);
+    let byte = |at: u64| {
+        let physical = at / PAGE.1 * PAGE.0 + at % PAGE.1;
+        bytes.get(usize::try_from(physical).ok()?).map(|byte| u64::from(*byte))
+    };
+    let number = |at: u64, size: u64| {
+        (0..size).try_fold(0, |sum: u64, i| Some(sum | byte(at.checked_add(i)?)? << (8 * i)))
+    };
+    let sizes: Vec<u64> = scan.prototype.iter().map(|record| bits_of(&record.data_type)).collect();
+    let mut bits = vec![0_u64; sizes.len()];
+    let Some(data) = number(logical(scan.file_offset).saturating_add(16), 8) else { return Ok(()) };
+    let mut at = logical(data);
+    loop {
+        let counts =
+            || bits.iter().zip(&sizes).filter(|(_, size)| **size > 0).map(|(bits, size)| bits / size);
+        let least = counts().min().unwrap_or(0);
+        if least >= scan.records {
+            return Ok(());
+        }
+        if counts().map(|count| count - least).sum::<u64>() > MOST_AHEAD {
+            return Err("the columns of a scan are of different lengths".into());
+        }
+        let (Some(kind), Some(length)) = (number(at, 1), number(at.saturating_add(2), 2)) else {
+            return Ok(());
+        };
+        at = match kind {
+            0 => at.saturating_add(16 + length + 1),
+            1 => {
+                let mut end = at.saturating_add(6 + 2 * sizes.len() as u64);
+                for (i, bits) in bits.iter_mut().enumerate() {
+                    let Some(bytes) = number(at.saturating_add(6 + 2 * i as u64), 2) else { return Ok(()) };
+                    *bits += 8 * bytes;
+                    end = end.saturating_add(bytes);
+                }
+                end
+            }
+            2 => at.saturating_add(4 + length + 1),
+            _ => return Ok(()),
+        };
+        at = at.saturating_add(3) & !3;
+    }
 }
 
 /// Bits a number.

@@ -311,6 +311,48 @@ fn descriptions_that_mean_harm_are_refused() {
 }
 
 #[test]
+fn columns_that_run_far_ahead_of_others_are_refused() {
+    let flag = RecordDataType::Integer { min: 0, max: 1 };
+    let prototype = vec![
+        record(RecordName::CartesianX, RecordDataType::F64),
+        record(RecordName::CartesianY, RecordDataType::F64),
+        record(RecordName::CartesianZ, RecordDataType::F64),
+        record(RecordName::IsTimeStampInvalid, flag.clone()),
+        record(RecordName::TimeStamp, flag),
+    ];
+    let mut file = Cursor::new(Vec::new());
+    let mut writer = E57Writer::new(&mut file, "guid").expect("a writer");
+    let mut scan = writer.add_pointcloud("a", prototype).expect("a scan");
+    for _ in 0..100_000 {
+        let mut point = [1.0, 0.0, 0.0].map(RecordValue::Double).to_vec();
+        point.extend([1, 1].map(RecordValue::Integer));
+        scan.add_point(point).expect("a point");
+    }
+    scan.finalize().expect("a scan");
+    writer.finalize().expect("a file");
+    drop(writer);
+    let bytes = file.into_inner();
+    assert!(read(&bytes).is_ok());
+    // All numbers of a packet are of the first flag alone, from the second packet on.
+    let mut logical: Vec<u8> = bytes.chunks_exact(1024).flat_map(|page| page[..1020].to_vec()).collect();
+    let mut at = 80;
+    while logical[at] == 1 {
+        let size =
+            |i: usize| usize::from(u16::from_le_bytes([logical[at + 6 + 2 * i], logical[at + 7 + 2 * i]]));
+        let all: usize = (0..5).map(size).sum();
+        if at > 80 {
+            logical[at + 6..at + 16].fill(0);
+            logical[at + 12..at + 14].copy_from_slice(&(all as u16).to_le_bytes());
+        }
+        at = (at + 16 + all).next_multiple_of(4);
+    }
+    let mut bytes: Vec<u8> = logical.chunks_exact(1020).flat_map(|page| [page, &[0; 4]].concat()).collect();
+    seal(&mut bytes);
+    let error = read(&bytes).expect_err("far ahead").to_string();
+    assert!(error.contains("different lengths"), "{error}");
+}
+
+#[test]
 fn every_cut_is_an_error() {
     let bytes = two_scans();
     for end in (8..100).chain((100..bytes.len()).step_by(97)).chain([bytes.len() - 1]) {
