@@ -125,21 +125,11 @@ impl Inspection<'_> {
             )
         };
         let percent = |share: f64| format!("{:.1} %", 100.0 * share);
-        lines.push(("spacing", range(s.spacing)));
-        lines.push(("density", format!("{} a square unit", range(s.density))));
-        lines.push(("surface", format!("about {} square units", short(s.area))));
-        let uneven = match s.unevenness {
-            u if u < 0.25 => "even, as by Poisson-disk sampling",
-            u if u < 0.42 => "between even and random",
-            u if u < 0.6 => "as random as by chance",
-            _ => "more uneven than by chance",
-        };
-        lines.push(("unevenness", format!("{:.2}  ({uneven})", s.unevenness)));
-        let spacings = s.noise / s.spacing.median.max(f64::MIN_POSITIVE);
-        lines.push(("noise", format!("{}  ({spacings:.2} spacings)", short(s.noise))));
-        lines.push(("isolated", percent(s.isolated)));
-        lines.push(("off surface", percent(s.off_surface)));
-        lines.push(("on lines", percent(s.on_lines)));
+        if s.measured == 0 {
+            lines.push(("spacing", "too few points to measure".into()));
+        } else {
+            lines.extend(self.measures(range, percent));
+        }
         if let Some(share) = self.strays {
             lines.push((
                 "strays",
@@ -164,9 +154,37 @@ impl Inspection<'_> {
         lines.into_iter().map(|(name, value)| format!("{name:<12} {value}\n")).collect()
     }
 
+    /// What was measured, a line each.
+    fn measures(
+        &self,
+        range: impl Fn(Spread) -> String,
+        percent: impl Fn(f64) -> String,
+    ) -> Vec<(&'static str, String)> {
+        let s = self.survey;
+        let mut lines = vec![("spacing", range(s.spacing))];
+        lines.push(("density", format!("{} a square unit", range(s.density))));
+        lines.push(("surface", format!("about {} square units", short(s.area))));
+        let uneven = match s.unevenness {
+            u if u < 0.25 => "even, as by Poisson-disk sampling",
+            u if u < 0.42 => "between even and random",
+            u if u < 0.6 => "as random as by chance",
+            _ => "more uneven than by chance",
+        };
+        lines.push(("unevenness", format!("{:.2}  ({uneven})", s.unevenness)));
+        let spacings = s.noise / s.spacing.median.max(f64::MIN_POSITIVE);
+        lines.push(("noise", format!("{}  ({spacings:.2} spacings)", short(s.noise))));
+        lines.push(("isolated", percent(s.isolated)));
+        lines.push(("off surface", percent(s.off_surface)));
+        lines.push(("on lines", percent(s.on_lines)));
+        lines
+    }
+
     fn json(&self) -> Value {
         let s = self.survey;
-        let spread = |x: Spread| json!({ "p01": x.low, "median": x.median, "p99": x.high });
+        // Nothing is not zero.
+        let known = |x: f64| if s.measured > 0 { json!(x) } else { Value::Null };
+        let spread =
+            |x: Spread| json!({ "p01": known(x.low), "median": known(x.median), "p99": known(x.high) });
         let attributes: Vec<Value> = (self.cloud.attributes.iter())
             .map(|a| json!({ "name": a.name, "type": kind(a.values.kind()) }))
             .collect();
@@ -178,14 +196,14 @@ impl Inspection<'_> {
             "duplicates": s.duplicates,
             "bounds": s.bounds,
             "spacing": spread(s.spacing),
-            "mean_spacing": s.mean_spacing,
+            "mean_spacing": known(s.mean_spacing),
             "density": spread(s.density),
-            "area": s.area,
-            "unevenness": s.unevenness,
-            "noise": s.noise,
-            "isolated": s.isolated,
-            "off_surface": s.off_surface,
-            "on_lines": s.on_lines,
+            "area": known(s.area),
+            "unevenness": known(s.unevenness),
+            "noise": known(s.noise),
+            "isolated": known(s.isolated),
+            "off_surface": known(s.off_surface),
+            "on_lines": known(s.on_lines),
             "strays": self.strays,
             "crs": self.cloud.origin.crs.as_ref().map(ToString::to_string),
             "sensor": self.cloud.origin.sensor,

@@ -6,8 +6,8 @@ use clap::{Args, ValueEnum};
 
 use super::CliError;
 use super::files;
-use crate::cloud::Position;
-use crate::evaluate::picture::{self, Axis, PictureError, Shade, View};
+use crate::cloud::Cloud;
+use crate::evaluate::picture::{self, Axis, PictureError, Shade, Subject, View};
 
 /// Draw a cloud as a PNG picture
 ///
@@ -19,7 +19,7 @@ Examples:
   densecloud render sparse.ply both.png --beside dense.ply --view 20,10 --up y
   densecloud render dense.ply even.png --shade density --size 1600x1200")]
 pub(super) struct RenderArgs {
-    /// The cloud: PLY or XYZ, recognised by its content; `-` for standard input
+    /// The cloud, in any format that is read; `-` for standard input
     cloud: PathBuf,
 
     /// The picture, a PNG file; `-` for standard output
@@ -64,6 +64,8 @@ enum ShadeName {
     Depth,
     /// By how crowded points are, against the cloud's median: shows how even it is
     Density,
+    /// The cloud's own red, green and blue
+    Colour,
 }
 
 #[derive(Debug, Clone, Copy, ValueEnum)]
@@ -74,10 +76,10 @@ enum AxisName {
 }
 
 pub(super) fn run(args: &RenderArgs) -> Result<(), CliError> {
-    let read = |path: &PathBuf| Ok(files::read_cloud(path)?.0.positions);
-    let clouds: Vec<Vec<Position>> =
+    let read = |path: &PathBuf| Ok(files::read_cloud(path)?.0);
+    let clouds: Vec<Cloud> =
         std::iter::once(&args.cloud).chain(&args.beside).map(read).collect::<Result<_, CliError>>()?;
-    let clouds: Vec<&[Position]> = clouds.iter().map(Vec::as_slice).collect();
+    let clouds: Vec<Subject<'_>> = clouds.iter().map(Subject::of).collect();
     let image = picture::render(&clouds, &settings(args)).map_err(|why| match why {
         PictureError::Nothing(_) => CliError::file(&args.cloud, why),
         PictureError::Size { .. } | PictureError::NotFinite => CliError::Usage(why.to_string()),
@@ -93,6 +95,7 @@ fn settings(args: &RenderArgs) -> picture::Settings {
             ShadeName::Normals => Shade::Normals,
             ShadeName::Depth => Shade::Depth,
             ShadeName::Density => Shade::Density,
+            ShadeName::Colour => Shade::Colour,
         },
         view: View {
             azimuth: args.view.0,

@@ -2,6 +2,7 @@
 
 mod broken;
 mod e57_files;
+mod findings;
 mod las_files;
 mod mesh_clouds;
 mod meshes;

@@ -17,7 +17,7 @@ const RING: usize = 10;
 const CLOSE: usize = 6;
 
 /// The smallest share of the variance of a plane's 16 neighbours across it from which they fill a volume.
-const VOLUME: f64 = 0.08;
+const VOLUME: f64 = 0.12;
 
 /// The largest share of the middle axis from which they lie on a line.
 const LINE: f64 = 0.01;

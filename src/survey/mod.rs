@@ -33,6 +33,8 @@ pub struct Survey {
     pub non_finite: usize,
     /// Finite points that coincide with an earlier one, within the resolution of the local frame.
     pub duplicates: usize,
+    /// Points that were measured: 0 where there are too few for neighbourhoods, and all measures below are 0.
+    pub measured: usize,
     /// The lowest and the highest coordinates.
     pub bounds: [Position; 2],
     /// Distance from a point to its nearest neighbour.
@@ -113,6 +115,7 @@ impl Survey {
             finite: counts.0,
             non_finite: counts.1,
             duplicates,
+            measured: measured.len(),
             bounds,
             spacing: Spread::of(each(|m| m.nearest)),
             mean_spacing: mean(&each(|m| m.nearest)),

@@ -96,7 +96,7 @@ fn counts_and_bounds_are_exact() {
     assert!(Survey::of(&[[1.0; 3]; 5], SAMPLE).is_err());
     // Too few neighbours to measure anything, and no panic.
     let few = Survey::of(&points[..3], SAMPLE).expect("a survey");
-    assert_eq!(few.finite, 3);
+    assert_eq!((few.finite, few.measured), (3, 0));
 }
 
 #[test]

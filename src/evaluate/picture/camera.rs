@@ -1,5 +1,6 @@
 //! Where points appear on the image.
 
+use super::shade::Rgb;
 use super::splat::Splat;
 use super::{Axis, SIDEWAYS, View};
 use crate::cloud::Point;
@@ -67,7 +68,7 @@ impl Camera {
     }
 
     /// A point as it is drawn.
-    pub(super) fn splat(&self, p: Point, normal: [f64; 3], radius: f64, density: f32) -> Splat {
+    pub(super) fn splat(&self, p: Point, normal: [f64; 3], radius: f64, tint: Rgb) -> Splat {
         let p = self.seen(p);
         Splat {
             x: (self.centre[0] + self.focal * p[0] / p[2]) as f32,
@@ -75,7 +76,7 @@ impl Camera {
             depth: p[2] as f32,
             normal: normal.map(|c| c as f32),
             radius: radius as f32,
-            density,
+            tint,
         }
     }
 

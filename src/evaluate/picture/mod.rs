@@ -12,10 +12,11 @@ mod splat;
 
 use std::io::Write;
 
-use crate::cloud::{Frame, Point, Position};
+use crate::cloud::{Cloud, Frame, Point, Position, Values};
 use crate::geometry::{KdTree, estimate_normals};
 
 use camera::Camera;
+use shade::Rgb;
 use splat::{Canvas, Splat};
 
 /// Points that a normal and a density are estimated from.
@@ -59,6 +60,8 @@ pub enum Shade {
     /// Colour by the distance to the sixteenth neighbour, over the median of the same cloud: from
     /// crowded (a quarter) to sparse (four times). Shows how even a cloud is.
     Density,
+    /// The cloud's own colours; grey where it has none.
+    Colour,
 }
 
 /// Where one looks from; the camera always looks at the middle of what is shown.
@@ -125,6 +128,52 @@ pub enum PictureError {
     NotFinite,
 }
 
+/// A cloud to be drawn.
+#[derive(Debug, Clone, Copy)]
+pub struct Subject<'a> {
+    /// Where its points are.
+    pub positions: &'a [Position],
+    /// `red`, `green` and `blue` of each point, in sRGB, if it has them: see [`Subject::of`] for their range.
+    pub colours: Option<[&'a Values; 3]>,
+}
+
+impl<'a> Subject<'a> {
+    /// A cloud with the attributes `red`, `green` and `blue`, if it has them: integers of 8 bits from 0 to 255;
+    /// others, and floats, from 0 to the first of 1, 255 and 65,535 that none of them exceeds.
+    #[must_use]
+    pub fn of(cloud: &'a Cloud) -> Self {
+        let find = |name: &str| cloud.attributes.iter().find(|a| a.name == name).map(|a| &a.values);
+        let colours = find("red").zip(find("green")).zip(find("blue")).map(|((r, g), b)| [r, g, b]);
+        Self { positions: &cloud.positions, colours }
+    }
+
+    /// The linear colour of each point.
+    fn tints(&self) -> Vec<Rgb> {
+        let Some(colours) = self.colours else { return vec![GREY; self.positions.len()] };
+        let largest = colours
+            .iter()
+            .flat_map(|c| (0..c.len()).map(|i| c.get(i)))
+            .filter(|c| c.is_finite())
+            .fold(0.0, f64::max);
+        let float = colours.iter().all(|c| c.kind().is_float());
+        let full = match largest {
+            m if float && m <= 1.0 => 1.0,
+            m if m <= 255.0 => 255.0,
+            _ => 65_535.0,
+        };
+        (0..self.positions.len()).map(|i| colours.map(|c| shade::decode(c.get(i) / full))).collect()
+    }
+}
+
+impl<'a> From<&'a [Position]> for Subject<'a> {
+    fn from(positions: &'a [Position]) -> Self {
+        Self { positions, colours: None }
+    }
+}
+
+/// Of clouds without colours.
+const GREY: Rgb = [0.5; 3];
+
 /// Draws the clouds side by side, all from the same place with the same disc size, so that they
 /// can be compared.
 ///
@@ -134,7 +183,7 @@ pub enum PictureError {
 ///
 /// # Errors
 /// See [`PictureError`].
-pub fn render(clouds: &[&[Position]], settings: &Settings) -> Result<Image, PictureError> {
+pub fn render(clouds: &[Subject<'_>], settings: &Settings) -> Result<Image, PictureError> {
     let Settings { width, height, view, .. } = *settings;
     if !(16..=MAX_SIDE).contains(&width) || !(16..=MAX_SIDE).contains(&height) {
         return Err(PictureError::Size { width, height });
@@ -143,7 +192,7 @@ pub fn render(clouds: &[&[Position]], settings: &Settings) -> Result<Image, Pict
     if ![view.azimuth, view.elevation, size].iter().all(|v| v.is_finite()) || size <= 0.0 {
         return Err(PictureError::NotFinite);
     }
-    let clouds = local(clouds)?;
+    let (clouds, tints): (Vec<Vec<Point>>, Vec<Vec<Rgb>>) = local(clouds)?.into_iter().unzip();
     let camera = Camera::fit(&clouds, view, width * SUPERSAMPLING, height * SUPERSAMPLING);
     let measured: Vec<Vec<Spacing>> = clouds.iter().map(|points| spacings(points)).collect();
     let pixel = camera.pixel() * f64::from(SUPERSAMPLING);
@@ -156,8 +205,9 @@ pub fn render(clouds: &[&[Position]], settings: &Settings) -> Result<Image, Pict
     };
     let panels: Vec<Image> = clouds
         .iter()
+        .zip(&tints)
         .zip(&measured)
-        .map(|(points, measured)| panel(points, measured, &camera, radius, settings.shade))
+        .map(|((points, tints), measured)| panel(points, tints, measured, &camera, radius, settings.shade))
         .collect();
     Ok(beside(&panels))
 }
@@ -172,16 +222,20 @@ struct Spacing {
     out: [f32; 3],
 }
 
-/// All clouds in one local frame, without strays.
-fn local(clouds: &[&[Position]]) -> Result<Vec<Vec<Point>>, PictureError> {
+/// All clouds in one local frame, with their colours, without strays.
+fn local(clouds: &[Subject<'_>]) -> Result<Vec<(Vec<Point>, Vec<Rgb>)>, PictureError> {
     let finite = |p: &&Position| p.iter().all(|c| c.is_finite());
-    let all: Vec<Position> = clouds.iter().flat_map(|c| c.iter().filter(finite).copied()).collect();
+    let all: Vec<Position> = clouds.iter().flat_map(|c| c.positions.iter().filter(finite).copied()).collect();
     let ranges: [(f64, f64); 3] =
         std::array::from_fn(|a| camera::robust_range(all.iter().map(|p| p[a]).collect()));
     let near = |p: &Position| (0..3).all(|a| (ranges[a].0..=ranges[a].1).contains(&p[a]));
-    let kept: Vec<Vec<Position>> = clouds.iter().map(|c| c.iter().copied().filter(near).collect()).collect();
-    let frame = Frame::fit(&kept.concat())?;
-    Ok(kept.iter().map(|c| c.iter().map(|&p| frame.to_local(p)).collect()).collect())
+    let kept: Vec<Position> = all.into_iter().filter(near).collect();
+    let frame = Frame::fit(&kept)?;
+    let local = |c: &Subject<'_>| {
+        let points = c.positions.iter().zip(c.tints()).filter(|(p, _)| near(p));
+        points.map(|(p, tint)| (frame.to_local(*p), tint)).unzip()
+    };
+    Ok(clouds.iter().map(local).collect())
 }
 
 fn spacings(points: &[Point]) -> Vec<Spacing> {
@@ -212,18 +266,27 @@ fn median(mut values: Vec<f32>) -> f64 {
     values.get(values.len() / 2).copied().map_or(0.0, f64::from)
 }
 
-fn panel(points: &[Point], measured: &[Spacing], camera: &Camera, radius: f64, shade: Shade) -> Image {
+fn panel(
+    points: &[Point],
+    tints: &[Rgb],
+    measured: &[Spacing],
+    camera: &Camera,
+    radius: f64,
+    shade: Shade,
+) -> Image {
     let normals = estimate_normals(points, NEIGHBOURS);
     let usual = median(measured.iter().map(|s| s.last).collect()).max(f64::MIN_POSITIVE);
     let mut canvas = Canvas::new(camera.width, camera.height);
     let splats: Vec<Splat> = points
         .iter()
         .zip(&normals)
+        .zip(tints)
         .zip(measured)
-        .map(|((&p, &n), m)| {
+        .map(|(((&p, &n), &own), m)| {
             // Four times sparser and four times denser than usual are the ends of the scale.
             let density = 0.5 - (f64::from(m.last) / usual).log2() / 4.0;
-            camera.splat(p, camera.towards(p, n, m.out), radius, density.clamp(0.0, 1.0) as f32)
+            let tint = if shade == Shade::Density { shade::scale_colour(density as f32) } else { own };
+            camera.splat(p, camera.towards(p, n, m.out), radius, tint)
         })
         .collect();
     canvas.draw(&splats, camera.focal as f32);
@@ -262,6 +325,7 @@ impl Image {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::cloud::{Attribute, Kind};
     use crate::geometry::{poisson_disk, shape};
 
     fn small() -> Settings {
@@ -283,26 +347,51 @@ mod tests {
     #[test]
     fn a_dense_cloud_covers_more_than_a_sparse_one_and_strays_change_nothing() {
         let (sparse, dense) = (knot(150), knot(3000));
-        let image = render(&[&sparse, &dense], &small()).expect("an image");
+        let image = render(&[Subject::from(sparse.as_slice()), Subject::from(dense.as_slice())], &small())
+            .expect("an image");
         assert_eq!((image.width, image.height, image.rgb.len()), (160, 64, 160 * 64 * 3));
-        let alone = render(&[&dense], &small()).expect("an image");
+        let alone = render(&[Subject::from(dense.as_slice())], &small()).expect("an image");
         assert!((0.2..0.8).contains(&covered(&alone)), "{}", covered(&alone));
         let mut stray = dense.clone();
         stray.extend([[1e9, 0.0, 0.0], [f64::NAN, 0.0, 0.0]]);
-        assert_eq!(render(&[&stray], &small()).expect("an image"), alone);
+        assert_eq!(render(&[Subject::from(stray.as_slice())], &small()).expect("an image"), alone);
         let few = Settings { point_size: Some(2.0), ..small() };
-        let (few, many) = (render(&[&sparse], &few), render(&[&dense], &few));
+        let (few, many) = (
+            render(&[Subject::from(sparse.as_slice())], &few),
+            render(&[Subject::from(dense.as_slice())], &few),
+        );
         assert!(covered(&few.expect("an image")) < 0.6 * covered(&many.expect("an image")));
     }
 
     #[test]
     fn every_shade_differs_and_is_the_same_twice_on_any_threads() {
         let cloud = knot(1000);
-        let image = |shade| render(&[&cloud], &Settings { shade, ..small() }).expect("an image");
+        let image = |shade| {
+            render(&[Subject::from(cloud.as_slice())], &Settings { shade, ..small() }).expect("an image")
+        };
         let shades = [Shade::Normals, Shade::Depth, Shade::Density].map(image);
         assert!(shades[0] != shades[1] && shades[1] != shades[2] && shades[0] != shades[2]);
         let one = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("a pool");
         assert_eq!(one.install(|| image(Shade::Normals)), shades[0]);
+    }
+
+    #[test]
+    fn colours_are_the_clouds_own() {
+        let positions = knot(1000);
+        let red = |full: f64, kind| Values::from_f64(kind, positions.iter().map(|_| full));
+        let none = |kind| Values::from_f64(kind, positions.iter().map(|_| 0.0));
+        let mut pictures = Vec::new();
+        for (full, kind) in [(255.0, Kind::U8), (255.0, Kind::U16), (65_535.0, Kind::U16), (1.0, Kind::F32)] {
+            let named = |name: &str, values| Attribute { name: name.into(), values };
+            let attributes =
+                vec![named("red", red(full, kind)), named("green", none(kind)), named("blue", none(kind))];
+            let cloud = Cloud { positions: positions.clone(), attributes, ..Cloud::default() };
+            let settings = Settings { shade: Shade::Colour, ..small() };
+            pictures.push(render(&[Subject::of(&cloud)], &settings).expect("an image"));
+        }
+        assert!(pictures.iter().all(|p| *p == pictures[0]));
+        let reddish = pictures[0].rgb.chunks_exact(3).filter(|p| p[0] > 150 && p[1] < 60).count();
+        assert!(reddish > 80 * 64 / 10, "{reddish}");
     }
 
     #[test]
@@ -312,8 +401,11 @@ mod tests {
             [[-1.0, -1.0, 1.0], [1.0, 1.0, -1.0], [-1.0, -1.0, 0.99], [1.0, 1.0, -0.99]].to_vec();
         let at = |azimuth: f64, up: Axis| {
             let view = View { azimuth, elevation: 0.0, up };
-            let image =
-                render(&[&cloud], &Settings { view, point_size: Some(8.0), ..small() }).expect("an image");
+            let image = render(
+                &[Subject::from(cloud.as_slice())],
+                &Settings { view, point_size: Some(8.0), ..small() },
+            )
+            .expect("an image");
             let row = image.width as usize * 3;
             let background =
                 |x: usize, y: usize| image.rgb[y * row + x * 3..][..3] == image.rgb[y * row..][..3];
@@ -332,10 +424,16 @@ mod tests {
     fn impossible_pictures_are_errors() {
         let cloud = knot(20);
         let size = Settings { width: 0, ..small() };
-        assert_eq!(render(&[&cloud], &size), Err(PictureError::Size { width: 0, height: 64 }));
+        assert_eq!(
+            render(&[Subject::from(cloud.as_slice())], &size),
+            Err(PictureError::Size { width: 0, height: 64 })
+        );
         let bad = Settings { point_size: Some(-1.0), ..small() };
-        assert_eq!(render(&[&cloud], &bad), Err(PictureError::NotFinite));
-        assert!(matches!(render(&[&[[1.0; 3], [1.0; 3]]], &small()), Err(PictureError::Nothing(_))));
+        assert_eq!(render(&[Subject::from(cloud.as_slice())], &bad), Err(PictureError::NotFinite));
+        assert!(matches!(
+            render(&[Subject::from([[1.0; 3], [1.0; 3]].as_slice())], &small()),
+            Err(PictureError::Nothing(_))
+        ));
         assert!(matches!(render(&[], &small()), Err(PictureError::Nothing(_))));
     }
 

@@ -6,7 +6,7 @@ use super::camera::Camera;
 use super::splat::Canvas;
 use super::{Image, Shade};
 
-type Rgb = [f32; 3];
+pub(super) type Rgb = [f32; 3];
 
 /// Reach of ambient occlusion, as a share of the depth range of the scene.
 const OCCLUSION_REACH: f32 = 0.12;
@@ -77,16 +77,18 @@ impl Scene<'_> {
         let base = match self.shade {
             Shade::Normals => MATERIAL,
             Shade::Depth => scale_colour(1.0 - far),
-            Shade::Density => scale_colour(self.canvas.density[at]),
+            Shade::Density | Shade::Colour => self.canvas.tint[at],
         };
         let light = match self.shade {
             Shade::Normals => lit(normal),
             // Colours carry the meaning: only a hint of light.
             Shade::Depth | Shade::Density => mix([0.9; 3], lit(normal), 0.3),
+            // Light is in the scan's own colours already.
+            Shade::Colour => mix([1.0; 3], lit(normal), 0.15),
         };
         let fog = match self.shade {
             Shade::Normals => FOG * far * far,
-            Shade::Depth | Shade::Density => 0.0,
+            Shade::Depth | Shade::Density | Shade::Colour => 0.0,
         };
         let dark = (1.0 - self.occlusion(x, y, depth, normal)) * (1.0 - self.edge(x, y, depth));
         let colour = std::array::from_fn(|a| base[a] * light[a] * dark);
@@ -160,12 +162,18 @@ fn lit(normal: [f32; 3]) -> Rgb {
 }
 
 /// A scale from dark violet over teal to yellow, lighter all the way.
-fn scale_colour(t: f32) -> Rgb {
+pub(super) fn scale_colour(t: f32) -> Rgb {
     const STOPS: [Rgb; 5] =
         [[0.07, 0.02, 0.16], [0.06, 0.10, 0.36], [0.04, 0.28, 0.34], [0.22, 0.56, 0.20], [0.95, 0.80, 0.10]];
     let t = t.clamp(0.0, 1.0) * (STOPS.len() - 1) as f32;
     let i = (t as usize).min(STOPS.len() - 2);
     mix(STOPS[i], STOPS[i + 1], t - i as f32)
+}
+
+/// sRGB, from 0 to 1, to linear.
+pub(super) fn decode(c: f64) -> f32 {
+    let c = c.clamp(0.0, 1.0);
+    (if c <= 0.040_45 { c / 12.92 } else { ((c + 0.055) / 1.055).powf(2.4) }) as f32
 }
 
 /// Linear to sRGB.

@@ -1,5 +1,7 @@
 //! Discs into a depth buffer.
 
+use super::shade::Rgb;
+
 /// Discs seen from the side are drawn as if tilted at most this much, lest they vanish.
 const LEAST_FACING: f32 = 0.25;
 
@@ -15,8 +17,8 @@ pub(super) struct Splat {
     pub(super) normal: [f32; 3],
     /// Local units.
     pub(super) radius: f32,
-    /// 0 (sparse) to 1 (crowded).
-    pub(super) density: f32,
+    /// Linear.
+    pub(super) tint: Rgb,
 }
 
 /// What is seen at each pixel.
@@ -27,8 +29,8 @@ pub(super) struct Canvas {
     pub(super) depth: Vec<f32>,
     /// Blended normals, unit where there is a disc.
     pub(super) normal: Vec<[f32; 3]>,
-    /// Blended densities.
-    pub(super) density: Vec<f32>,
+    /// Blended colours.
+    pub(super) tint: Vec<Rgb>,
 }
 
 impl Canvas {
@@ -40,7 +42,7 @@ impl Canvas {
             height,
             depth: vec![f32::INFINITY; pixels],
             normal: vec![[0.0; 3]; pixels],
-            density: vec![0.0; pixels],
+            tint: vec![[0.0; 3]; pixels],
         }
     }
 
@@ -61,16 +63,18 @@ impl Canvas {
                     // Never quite zero: the rim of a lone disc has a colour too.
                     let weight = (1.0 - inside) * (1.0 - inside) + 1e-3;
                     weights[at] += weight;
-                    canvas.density[at] += weight * splat.density;
+                    for (sum, c) in canvas.tint[at].iter_mut().zip(splat.tint) {
+                        *sum += weight * c;
+                    }
                     for (sum, n) in canvas.normal[at].iter_mut().zip(splat.normal) {
                         *sum += weight * n;
                     }
                 }
             });
         }
-        for ((normal, density), weight) in self.normal.iter_mut().zip(&mut self.density).zip(weights) {
+        for ((normal, tint), weight) in self.normal.iter_mut().zip(&mut self.tint).zip(weights) {
             if weight > 0.0 {
-                *density /= weight;
+                tint.iter_mut().for_each(|c| *c /= weight);
                 let length = normal.iter().map(|c| c * c).sum::<f32>().sqrt().max(f32::MIN_POSITIVE);
                 normal.iter_mut().for_each(|c| *c /= length);
             }

@@ -18,8 +18,9 @@ const SHORTEST: usize = 227;
 /// The header up to the point count of version 1.4.
 const LONGEST: usize = 255;
 
-/// Points decoded at a time: memory grows with what is there, whatever the header counts.
-const BLOCK: u64 = 1 << 16;
+/// Bytes of points decoded at a time: memory grows with what is there, whatever the header counts, and
+/// however long it says that a point is.
+const BLOCK: usize = 1 << 22;
 
 /// What the fixed part of the header tells; the rest is read with the points.
 pub(in super::super) fn open<R: Read>(source: &mut Source<R>, limits: Limits) -> Result<Header, FormatError> {
@@ -120,9 +121,10 @@ fn decode(bytes: Vec<u8>, end: Place) -> Result<Cloud, FormatError> {
     let mut columns: Vec<Values> = fields.iter().map(layout::Field::column).collect();
     let mut extra = extra_columns(&records, format.extra_bytes.into(), &mut dropped);
     let mut block: PointData = PointDataBuilder::new().for_header(&header).build();
+    let block_points = (BLOCK / length.max(1)).max(1) as u64;
     let mut left = header.number_of_points();
     while left > 0 {
-        let got = reader.fill_points(BLOCK.min(left), &mut block).map_err(bad)?;
+        let got = reader.fill_points(block_points.min(left), &mut block).map_err(bad)?;
         if got == 0 {
             return Err(FormatError::truncated(end, format!("the header counts {left} points more")));
         }
