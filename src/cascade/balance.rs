@@ -13,6 +13,11 @@ pub(super) const SURPLUS: f64 = 1.4;
 const NEIGHBOURS: usize = 3;
 /// Input points of a region: enough for the noise of a random input to cancel out.
 const REGION: usize = 32;
+/// Regions' areas by their spacing count for half as far as they differ by less than this factor: noise
+/// and thin parts make as much of a difference, where an even input's points stand for equal areas.
+const DOUBT: f32 = 2.0;
+/// How much of a region's excess is made up for: the rest is chance. 0 is even spacing alone.
+const CORRECTED: f32 = 0.8;
 /// A region is never thought more than this many times too crowded or too empty.
 const MOST: f32 = 3.0;
 
@@ -22,9 +27,10 @@ const MOST: f32 = 3.0;
 /// Farthest point sampling spreads points evenly over whatever it is given. Where a part is thinner
 /// than the input's spacing, what the units make is a tuft rather than a surface, and takes points
 /// from everywhere else. The input knows better, up to its noise: each of its points stands for an
-/// area of about the square of the distance to its nearest others. So a region gets the geometric
-/// mean of what even spacing gives it and what the input's areas give it. Every prefix of the order
-/// is an even sampling, hence a point is taken the later, the more crowded its region is.
+/// area, the same one in an even input, about the square of the distance to its nearest others in an
+/// uneven one. So a region's share is the number of its input points times their area, of whose
+/// differences small ones count for half ([`DOUBT`]). Every prefix of the order is an even sampling,
+/// hence a point is taken the later, the more crowded its region is.
 ///
 /// Fastest when neighbours among the candidates lie near each other in memory.
 pub(super) fn balanced(candidates: &[Point], sampled: &[u32], size: usize, input: &Measured) -> Vec<u32> {
@@ -41,7 +47,7 @@ pub(super) fn balanced(candidates: &[Point], sampled: &[u32], size: usize, input
             *count += 1.0;
         }
     }
-    let excess: Vec<f32> = crowding(&counts, input).into_iter().map(f32::sqrt).collect();
+    let excess: Vec<f32> = crowding(&counts, input).into_iter().map(|d| d.powf(CORRECTED)).collect();
     let mut order: Vec<(f32, u32)> = (0..sampled.len() as u32)
         .into_par_iter()
         .map(|rank| {
@@ -53,29 +59,35 @@ pub(super) fn balanced(candidates: &[Point], sampled: &[u32], size: usize, input
     order[..size].iter().map(|o| sampled[o.1 as usize]).collect()
 }
 
-/// Points per area around each input point, beside the median; `counts` of the points nearest to it.
+/// Points for the share of the region around each input point, beside the median; `counts` of the points nearest to it.
 fn crowding(counts: &[f32], input: &Measured) -> Vec<f32> {
-    let around = |k: usize, of: &(dyn Fn(&[Neighbour]) -> f32 + Sync)| -> Vec<f32> {
-        let found = |found: &mut Vec<_>, p: &Point| {
-            input.tree.nearest(*p, k, found);
-            of(found)
+    let area = |i: usize| {
+        let distance = |j: &u32| {
+            let q = input.points[*j as usize];
+            (0..3).map(|a| (q[a] - input.points[i][a]).powi(2)).sum::<f32>().sqrt()
         };
-        input.points.par_iter().map_init(Vec::new, found).collect()
+        let nearest = input.around(i as u32).iter().take(NEIGHBOURS);
+        (nearest.map(distance).sum::<f32>() / NEIGHBOURS as f32).powi(2)
     };
-    let areas = around(NEIGHBOURS + 1, &|found| {
-        (found.iter().map(|n| n.distance_squared.sqrt()).sum::<f32>() / NEIGHBOURS as f32).powi(2)
-    });
-    let mut density = around(REGION, &|found| {
-        let sum = |of: &[f32]| found.iter().map(|n| of[n.index as usize]).sum::<f32>();
-        sum(counts) / sum(&areas)
-    });
-    let mut sorted = density.clone();
+    let areas: Vec<f32> = (0..counts.len()).into_par_iter().map(area).collect();
+    let region = |found: &mut Vec<_>, p: &Point| {
+        input.tree.nearest(*p, REGION, found);
+        let sum = |of: &[f32]| found.iter().map(|n: &Neighbour| of[n.index as usize]).sum::<f32>();
+        (sum(counts), sum(&areas))
+    };
+    let (counts, areas): (Vec<f32>, Vec<f32>) = input.points.par_iter().map_init(Vec::new, region).unzip();
+    let areas = beside_median(areas).into_iter().map(|a| a / a.clamp(1.0 / DOUBT, DOUBT).sqrt());
+    let density = beside_median(counts.into_iter().zip(areas).map(|(count, area)| count / area).collect());
+    density.into_iter().map(|d| d.clamp(1.0 / MOST, MOST)).collect()
+}
+
+/// Each of some values as a multiple of their median.
+fn beside_median(mut values: Vec<f32>) -> Vec<f32> {
+    let mut sorted = values.clone();
     let middle = sorted.len() / 2;
     let median = *sorted.select_nth_unstable_by(middle, f32::total_cmp).1;
-    for d in &mut density {
-        *d = (*d / median).clamp(1.0 / MOST, MOST);
-    }
-    density
+    values.iter_mut().for_each(|v| *v /= median);
+    values
 }
 
 #[cfg(test)]

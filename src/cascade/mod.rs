@@ -19,6 +19,7 @@
 //! The result depends on the points, their order, the target, the settings and the model; never on
 //! the number of threads. Every patch is computed on its own and written to its own place.
 
+mod anchors;
 mod balance;
 mod input;
 mod level;
@@ -54,11 +55,12 @@ pub struct Settings {
     pub max_displacement: f64,
     /// How far a point may lie from the nearest input point, in multiples of the distance that nine
     /// in ten points of its level keep to, each in the input point's spacing; what lies further is
-    /// left out. Positive; infinity keeps everything.
+    /// left out. So is what lies beyond all input points around it, past a border, by more than 2 / 15 of
+    /// this in their spacing. Positive; infinity keeps everything.
     pub max_distance: f64,
     /// Whether the last level is made even and smooth: its sample's midpoints are sampled once
-    /// more and projected onto the surface that all its points suggest. Without, every point is
-    /// one that the network put there.
+    /// more, projected onto the surface that all its points suggest, and drawn to the input as far as
+    /// that is clean. Without, every point is one that the network put there.
     pub polish: bool,
     /// Chooses where farthest point sampling starts, hence which of many equally good results.
     pub seed: u64,

@@ -4,11 +4,13 @@
 //! candidates that stand off the surface. So the last level's sample is only the start: the
 //! midpoints of its neighbours, which average two errors and lie in its gaps, are sampled again
 //! (with an eye to the input's density), points that are too near push each other apart, and each
-//! is projected onto the moving least squares surface of all that the unit made. Coarser levels go
-//! without: there a chord cuts a curve that the next unit would follow.
+//! is projected onto the moving least squares surface of all that the unit made, and drawn to the
+//! input where that is clean. Coarser levels go without: there a chord cuts a curve that the next
+//! unit would follow.
 
 use rayon::prelude::*;
 
+use super::anchors::Anchors;
 use super::balance::{SURPLUS, balanced};
 use super::strays::Measured;
 use super::{CascadeError, Observer};
@@ -17,8 +19,8 @@ use crate::geometry::{KdTree, Neighbour, Rng, Walk, farthest_point_sampling, nor
 
 /// Neighbours that a point shares midpoints with: the ring around it, and some.
 const NEIGHBOURS: usize = 7;
-/// An input point further than this from every midpoint, in its own spacing, is a tip that they fall
-/// short of.
+/// A noisy input point further than this from every midpoint, in its own spacing, is a tip that they
+/// fall short of. A clean one is a candidate wherever it lies: no midpoint is as exact.
 const SHORT: f32 = 0.5;
 /// Points of the sample whose midpoints are looked at for that.
 const AROUND: usize = 16;
@@ -53,14 +55,15 @@ pub(super) fn polish(
 
     // From here on neighbours in space are neighbours in memory.
     let (tree, made) = KdTree::in_order(made);
+    let anchors = Anchors::new(input, &made, &tree);
     let candidates = if made.len() > full + full / 10 {
         let first = random.below(made.len() as u64) as usize;
         let mut kept = farthest_point_sampling(&made, full, first);
         kept.par_sort_unstable();
         let sample: Vec<Point> = kept.iter().map(|&i| made[i as usize]).collect();
-        candidates(&KdTree::new(&sample), &sample, size, input)
+        candidates(&KdTree::new(&sample), &sample, size, input, anchors.trust)
     } else {
-        candidates(&tree, &made, size, input)
+        candidates(&tree, &made, size, input, anchors.trust)
     };
     go_on()?;
     let first = random.below(candidates.len() as u64) as usize;
@@ -74,22 +77,24 @@ pub(super) fn polish(
     relax(&mut dense);
     go_on()?;
     project_to_surface(&mut dense, &made, &tree);
+    anchors.draw(&mut dense);
 
     let mut place_of = vec![0; candidates.len()];
     chosen.iter().zip(0_u32..).for_each(|(&i, place)| place_of[i as usize] = place);
     Ok(order.par_iter().map(|&i| dense[place_of[i as usize] as usize]).collect())
 }
 
-/// What the result is chosen from: midpoints of the sample, and what they fall short of. `tree` must be
-/// built from `sample`.
-fn candidates(tree: &KdTree, sample: &[Point], size: usize, input: &Measured) -> Vec<Point> {
+/// What the result is chosen from: midpoints of the sample, and the input points that they fall short of,
+/// which are the more, the more the input is to be trusted. `tree` must be built from `sample`.
+fn candidates(tree: &KdTree, sample: &[Point], size: usize, input: &Measured, trust: f32) -> Vec<Point> {
     let rings = rings(tree, sample);
     let mut candidates = midpoints(sample, &rings);
     let too_few = candidates.len() < size;
     if too_few {
         candidates.extend_from_slice(sample);
     }
-    candidates.extend(fallen_short_of(tree, sample, &rings, too_few, input));
+    let short = SHORT * (1.0 - trust);
+    candidates.extend(fallen_short_of(tree, sample, &rings, too_few, input, short));
     candidates
 }
 
@@ -179,17 +184,19 @@ fn relax(points: &mut [Point]) {
     }
 }
 
-/// The input points that no midpoint comes near (nor a point of the sample, where those are candidates
-/// `too`): what was measured must not vanish. Looks at the midpoints of the nearest points only.
+/// The input points that no midpoint comes nearer to than `short` of their spacing (nor a point of the
+/// sample, where those are candidates `too`): what was measured must not vanish. Looks at the midpoints
+/// of the nearest points only.
 fn fallen_short_of(
     tree: &KdTree,
     sample: &[Point],
     rings: &[Ring],
     too: bool,
     input: &Measured,
+    short: f32,
 ) -> Vec<Point> {
     let far = |found: &mut Vec<Neighbour>, (p, spacing): (&Point, &f32)| {
-        let limit = (SHORT * spacing).powi(2);
+        let limit = (short * spacing).powi(2);
         let near = |q: Point| (0..3).map(|a| (q[a] - p[a]).powi(2)).sum::<f32>() <= limit;
         tree.nearest(*p, AROUND, found);
         let reached = found.iter().any(|n| {

@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 
 use crate::cloud::Point;
-use crate::geometry::{KdTree, Walk};
+use crate::geometry::{KdTree, Neighbour, Walk};
 
 /// A point that a unit made.
 #[derive(Debug, Clone, Copy, Default)]
@@ -22,27 +22,78 @@ pub(super) struct Measured {
     pub(super) points: Vec<Point>,
     /// Mean distance of each point to its nearest others.
     pub(super) spacing: Vec<f32>,
+    /// One row for each point: see [`Measured::around`].
+    neighbours: Vec<u32>,
 }
 
 /// The share of a level's points that is taken to lie where it should.
 const SOUND: f64 = 0.9;
+/// Others around each input point: no point must lie beyond all of them.
+const AROUND: usize = 8;
+/// How far beyond them it may lie, in the nearest one's spacing and as a share of the distance limit. The surface
+/// itself reaches 0.35 spacings beyond even samples at most.
+const BEYOND: f32 = 2.0 / 15.0;
 
 impl Measured {
     /// `spacing` of each of `points`.
     pub(super) fn new(points: &[Point], spacing: Vec<f32>) -> Self {
-        Self { tree: KdTree::new(points), points: points.to_vec(), spacing }
+        let tree = KdTree::new(points);
+        let row = AROUND.min(points.len().saturating_sub(1));
+        let mut neighbours = vec![0; row * points.len()];
+        if row > 0 {
+            let find = |found: &mut Vec<_>, (i, row): (usize, &mut [u32])| {
+                // Of points that coincide, the point itself need not come first.
+                tree.nearest(points[i], row.len() + 1, found);
+                let others = found.iter().map(|n| n.index).filter(|&j| j as usize != i);
+                row.iter_mut().zip(others).for_each(|(place, j)| *place = j);
+            };
+            neighbours.par_chunks_exact_mut(row).enumerate().for_each_init(Vec::new, find);
+        }
+        Self { tree, points: points.to_vec(), spacing, neighbours }
     }
 
-    /// For each point the distance to the nearest input point, in that one's spacing; NaN where it is not finite.
-    fn distances(&self, made: &[Made]) -> Vec<f32> {
+    /// An input point's nearest others, nearest first; fewer than [`AROUND`] where there are no more.
+    pub(super) fn around(&self, i: u32) -> &[u32] {
+        let row = self.neighbours.len() / self.points.len();
+        &self.neighbours[i as usize * row..][..row]
+    }
+
+    /// How far `p` lies beyond the input points nearest to it, seen from their centroid, in the spacing of
+    /// `i`, the nearest: negative among them, positive past an open border or a tip. The lesser of two: beyond
+    /// those around `i`, which are known already and tell of most points that it is no more than is
+    /// `allowed`, and beyond the nearest to `p` itself, which in a wide gap lie on its far side, too.
+    fn beyond(&self, p: Point, i: u32, allowed: f32, found: &mut Vec<Neighbour>) -> f32 {
+        let ring = [i].into_iter().chain(self.around(i).iter().copied());
+        let beyond = self.beyond_all(p, ring) / self.spacing[i as usize];
+        if beyond <= allowed {
+            return beyond;
+        }
+        self.tree.nearest(p, AROUND, found);
+        beyond.min(self.beyond_all(p, found.iter().map(|n| n.index)) / self.spacing[i as usize])
+    }
+
+    /// How far `p` lies beyond all of some input points, seen from their centroid.
+    fn beyond_all(&self, p: Point, near: impl Iterator<Item = u32> + Clone) -> f32 {
+        let near = near.map(|j| self.points[j as usize]);
+        let (sum, count) = near.clone().fold(([0.0; 3], 0.0), |(sum, count): (Point, f32), q| {
+            (std::array::from_fn(|a| sum[a] + q[a]), count + 1.0)
+        });
+        let outwards: Point = std::array::from_fn(|a| p[a] - sum[a] / count);
+        let past = |q: Point| (0..3).map(|a| (p[a] - q[a]) * outwards[a]).sum::<f32>();
+        let length = outwards.iter().map(|c| c * c).sum::<f32>().sqrt();
+        near.map(past).fold(f32::INFINITY, f32::min) / length.max(f32::MIN_POSITIVE)
+    }
+
+    /// For each point its distance to the nearest input point, in that one's spacing, and that one; NaN
+    /// where the point is not finite.
+    fn distances(&self, made: &[Made]) -> Vec<(f32, u32)> {
         let measure = |walk: &mut Walk, m: &Made| {
             if !m.at.iter().all(|c| c.is_finite()) {
-                return f32::NAN;
+                return (f32::NAN, 0);
             }
             self.tree.nearest_next(m.at, 1, walk);
-            walk.found
-                .first()
-                .map_or(f32::NAN, |n| n.distance_squared.sqrt() / self.spacing[n.index as usize])
+            let distance = |n: &Neighbour| n.distance_squared.sqrt() / self.spacing[n.index as usize];
+            walk.found.first().map_or((f32::NAN, 0), |n| (distance(n), n.index))
         };
         made.par_iter().map_init(Walk::default, measure).collect()
     }
@@ -50,7 +101,9 @@ impl Measured {
 
 /// What may be sampled: the points not moved further than `max_displacement` and not further from
 /// the input than `max_distance` times what nine in ten points keep to (even input is covered to
-/// 0.8 of its spacing everywhere, random input to 1.4: the cloud itself has to say).
+/// 0.8 of its spacing everywhere, random input to 1.4: the cloud itself has to say). Past an open
+/// border nothing has been measured, and a unit puts points up to a whole spacing there, so a point
+/// with the input on one side only must stay within [`BEYOND`] of that limit.
 ///
 /// Where that leaves fewer than `size`, the least strayed of the others make up for it; only points
 /// that are not finite are never taken.
@@ -61,18 +114,24 @@ pub(super) fn without_strays(
     max_distance: f32,
     input: &Measured,
 ) -> Vec<Point> {
-    let mut strayed = input.distances(&made);
-    let mut sorted: Vec<f32> = strayed.iter().copied().filter(|d| d.is_finite()).collect();
+    let distances = input.distances(&made);
+    let mut sorted: Vec<f32> = distances.iter().map(|d| d.0).filter(|d| d.is_finite()).collect();
     let sound = (SOUND * sorted.len() as f64) as usize;
     let usual = sorted.get(sound).is_some().then(|| *sorted.select_nth_unstable_by(sound, f32::total_cmp).1);
     // Where most points lie on input points, nothing can be told.
     let limit = usual.filter(|u| *u > 0.0).map_or(f32::INFINITY, |u| max_distance * u);
-    for (s, m) in strayed.iter_mut().zip(&made) {
+    let most_beyond = BEYOND * max_distance;
+    let strayed = |found: &mut Vec<_>, (m, &(distance, nearest)): (&Made, &(f32, u32))| {
         // NaN stays: `max` would lose it.
-        if s.is_finite() {
-            *s = (*s / limit).max(m.displacement / max_displacement);
+        if !distance.is_finite() {
+            return distance;
         }
-    }
+        // No point is further beyond others than it is away from them.
+        let beyond =
+            if distance > most_beyond { input.beyond(m.at, nearest, most_beyond, found) } else { 0.0 };
+        (distance / limit).max(m.displacement / max_displacement).max(beyond / most_beyond)
+    };
+    let strayed: Vec<f32> = made.par_iter().zip(&distances).map_init(Vec::new, strayed).collect();
     let mut most = 1.0;
     if strayed.iter().filter(|s| **s <= most).count() < size {
         // NaN comes last, and is below no limit.
@@ -122,6 +181,25 @@ mod tests {
         assert_eq!(left.len(), 90);
         assert!(left.iter().all(|p| p[1] < 1.0));
         assert_eq!(without_strays(made, 10, 0.8, f32::INFINITY, &input()).len(), 91);
+    }
+
+    #[test]
+    fn nothing_goes_far_past_an_open_border() {
+        // A square of 10 by 10 points of spacing 1; most of what was made lies between four of them.
+        let points: Vec<Point> = (0..100).map(|i| [(i % 10) as f32, (i / 10) as f32, 0.0]).collect();
+        let input = Measured::new(&points, vec![1.0; 100]);
+        let mut made: Vec<Made> = (0..81)
+            .map(|i| Made { at: [(i % 9) as f32 + 0.5, (i / 9) as f32 + 0.5, 0.0], displacement: 0.7 })
+            .collect();
+        let past = |by: f32| Made { at: [9.0 + by, 4.0, 0.0], displacement: 0.7 };
+        made.extend([past(0.15), past(0.3), past(0.6)]);
+        let farthest = |max_distance| {
+            let left = without_strays(made.clone(), 10, 0.8, max_distance, &input);
+            assert!(left.len() >= 82);
+            left.iter().map(|p| p[0]).fold(0.0, f32::max) - 9.0
+        };
+        assert!((farthest(1.5) - 0.15).abs() < 1e-5, "{}", farthest(1.5));
+        assert!((farthest(f32::INFINITY) - 0.6).abs() < 1e-5);
     }
 
     #[test]
