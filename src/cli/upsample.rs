@@ -82,7 +82,8 @@ pub(super) struct UpsampleArgs {
     #[arg(long, value_name = "X", default_value_t = Settings::default().max_displacement)]
     max_displacement: f64,
 
-    /// Leave out points further from the input than this many times what nine in ten keep to; `inf` keeps all
+    /// Leave out points further from the input than this many times what nine in ten keep to, and points beyond its
+    /// open borders; `inf` keeps all
     #[arg(long, value_name = "X", default_value_t = Settings::default().max_distance)]
     max_distance: f64,
 
