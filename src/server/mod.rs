@@ -8,6 +8,7 @@
 //! | `app` | what handlers share; the table of paths |
 //! | `record` | around each request: id, log, metrics |
 //! | `upsample` | the handler, from body to body |
+//! | `inference` | the same work as tensors in JSON or binary: the Open Inference Protocol |
 //! | `query`, `upload`, `download` | its parts: parameters, the body in, the body out |
 //! | `problem` | every failure, its status and its words: the one table |
 //! | `config`, `budget`, `readiness`, `metrics`, `request_id` | one noun each |
@@ -23,6 +24,7 @@ mod app;
 mod budget;
 mod config;
 mod download;
+mod inference;
 mod metrics;
 mod problem;
 mod query;

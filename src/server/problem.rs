@@ -20,8 +20,14 @@ use crate::survey::GoalError;
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub(super) enum Problem {
     /// No such path.
-    #[error("there are /upsample, /healthz, /readyz and /metrics")]
+    #[error("there are /upsample, /v2, /healthz, /readyz and /metrics")]
     NotFound,
+    /// The path names a model, or a version, that is not there.
+    #[error("there is the model \"densecloud\" with version \"1\", not {0}")]
+    UnknownModel(String),
+    /// An inference request that breaks the protocol, or whose tensors are not those of the model.
+    #[error("{0}")]
+    MalformedRequest(String),
     /// The path exists, but not for this method.
     #[error("the Allow header has the methods of this path")]
     MethodNotAllowed,
@@ -232,6 +238,10 @@ impl Problem {
         use StatusCode as S;
         let (status, name, title, setting) = match self {
             Self::NotFound => (S::NOT_FOUND, "not-found", "No such path", None),
+            Self::UnknownModel(_) => (S::NOT_FOUND, "unknown-model", "No such model", None),
+            Self::MalformedRequest(_) => {
+                (S::BAD_REQUEST, "malformed-request", "The inference request cannot be read", None)
+            }
             Self::MethodNotAllowed => {
                 (S::METHOD_NOT_ALLOWED, "method-not-allowed", "Not for this method", None)
             }
@@ -338,6 +348,11 @@ impl Problem {
     }
 }
 
+/// The body of an error under `/v2`, as the Open Inference Protocol has it.
+pub(super) fn inference_error(problem: &Problem) -> Body {
+    Body::from(serde_json::json!({ "error": problem.to_string() }).to_string())
+}
+
 /// The members of RFC 9457, then our own.
 #[derive(Serialize)]
 struct Document<'a> {
@@ -385,6 +400,8 @@ mod tests {
         let second = Duration::from_millis(1500);
         vec![
             (Problem::NotFound, 404, "not-found"),
+            (Problem::UnknownModel("x".into()), 404, "unknown-model"),
+            (Problem::MalformedRequest("x".into()), 400, "malformed-request"),
             (Problem::MethodNotAllowed, 405, "method-not-allowed"),
             (Problem::parameter("ratio", "missing".into()), 400, "invalid-parameter"),
             (Problem::Interrupted("x".into()), 400, "interrupted-body"),

@@ -29,6 +29,14 @@ impl Parameters {
     pub(super) fn parse(uri: &Uri) -> Result<Self, Problem> {
         let Query(pairs) = Query::<Vec<(String, String)>>::try_from_uri(uri)
             .map_err(|error| Problem::parameter("query", error.to_string()))?;
+        Self::from_pairs(&pairs)
+    }
+
+    /// As [`Parameters::parse`], from names and values that came in another way.
+    ///
+    /// # Errors
+    /// The same.
+    pub(super) fn from_pairs(pairs: &[(String, String)]) -> Result<Self, Problem> {
         let (mut goals, mut seed, mut finish) = (Vec::new(), None, Finish::default());
         for (i, (name, value)) in pairs.iter().enumerate() {
             if pairs[..i].iter().any(|(earlier, _)| earlier == name) {

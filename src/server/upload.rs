@@ -56,6 +56,25 @@ impl Upload {
         app: &App,
         parameters: &Parameters,
     ) -> Result<Received, Problem> {
+        let mut header_seen = false;
+        let judge = |bytes: &[u8], new| {
+            if !header_seen && header_is_there(bytes, new) {
+                header_seen = true;
+                check_header(bytes, app, parameters)?;
+            }
+            Ok(())
+        };
+        self.receive_judged(headers, app, judge).await
+    }
+
+    /// As [`Upload::receive`], for what is not a file: after each piece, `judge` is shown all that has
+    /// arrived, and how much of it is new.
+    pub(super) async fn receive_judged(
+        &mut self,
+        headers: &HeaderMap,
+        app: &App,
+        mut judge: impl FnMut(&[u8], usize) -> Result<(), Problem>,
+    ) -> Result<Received, Problem> {
         let start = Instant::now();
         check_encoding(headers)?;
         let limit = app.config.limits.body_bytes;
@@ -66,7 +85,6 @@ impl Upload {
         }
         let mut held = app.budget.hold(0).ok_or_else(|| app.held_full())?;
         let mut bytes = Vec::new();
-        let mut header_seen = false;
         while let Some(chunk) = self.next(app.config.timeouts.stall).await? {
             if (bytes.len() + chunk.len()) as u64 > limit {
                 return Err(too_large);
@@ -75,12 +93,14 @@ impl Upload {
                 return Err(app.held_full());
             }
             bytes.extend_from_slice(&chunk);
-            if !header_seen && header_is_there(&bytes, chunk.len()) {
-                header_seen = true;
-                check_header(&bytes, app, parameters)?;
-            }
+            judge(&bytes, chunk.len())?;
         }
         Ok(Received { bytes, _held: held, took: start.elapsed() })
+    }
+
+    /// Bytes in the whole body, where that is known beforehand.
+    pub(super) fn length(&self) -> Option<u64> {
+        self.body.size_hint().exact()
     }
 
     /// Throws away what still arrives, in the background, for a moment.
@@ -123,6 +143,10 @@ impl Upload {
 }
 
 impl Received {
+    pub(super) fn bytes(&self) -> &[u8] {
+        &self.bytes
+    }
+
     /// Reads the cloud, and the format it came in. Blocking work: O(bytes).
     ///
     /// # Errors
