@@ -11,6 +11,7 @@
 //! | `inference` | the same work as tensors in JSON or binary: the Open Inference Protocol |
 //! | `query`, `upload`, `download` | its parts: parameters, the body in, the body out |
 //! | `problem` | every failure, its status and its words: the one table |
+//! | `openapi` | the interface described, for programs and for people |
 //! | `config`, `budget`, `readiness`, `metrics`, `request_id` | one noun each |
 //!
 //! Invariants: nothing blocks the async threads; no wait is without a deadline; memory grows with
@@ -26,6 +27,7 @@ mod config;
 mod download;
 mod inference;
 mod metrics;
+mod openapi;
 mod problem;
 mod query;
 mod readiness;

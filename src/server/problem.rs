@@ -20,7 +20,7 @@ use crate::survey::GoalError;
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub(super) enum Problem {
     /// No such path.
-    #[error("there are /upsample, /v2, /healthz, /readyz and /metrics")]
+    #[error("/openapi.json and /docs have all paths")]
     NotFound,
     /// The path names a model, or a version, that is not there.
     #[error("there is the model \"densecloud\" with version \"1\", not {0}")]
@@ -391,37 +391,40 @@ impl IntoResponse for Problem {
     }
 }
 
+/// One of each, with its status and its name.
+#[cfg(test)]
+pub(super) fn every_problem() -> Vec<(Problem, u16, &'static str)> {
+    let second = Duration::from_millis(1500);
+    vec![
+        (Problem::NotFound, 404, "not-found"),
+        (Problem::UnknownModel("x".into()), 404, "unknown-model"),
+        (Problem::MalformedRequest("x".into()), 400, "malformed-request"),
+        (Problem::MethodNotAllowed, 405, "method-not-allowed"),
+        (Problem::parameter("ratio", "missing".into()), 400, "invalid-parameter"),
+        (Problem::Interrupted("x".into()), 400, "interrupted-body"),
+        (Problem::Malformed("x".into()), 400, "malformed-cloud"),
+        (Problem::NotAcceptable { wanted: "x".into() }, 406, "not-acceptable"),
+        (Problem::UploadStalled { limit: second }, 408, "upload-stalled"),
+        (Problem::BodyTooLarge { limit: 5 }, 413, "body-too-large"),
+        (Problem::TooManyPointsIn { points: 9, limit: 5 }, 413, "too-many-points-in"),
+        (Problem::TooManyPointsOut { points: 9, limit: 5 }, 413, "too-many-points-out"),
+        (Problem::ResultTooLarge { points: 9, bytes: 99, limit: 5 }, 413, "result-too-large"),
+        (Problem::UnsupportedFormat("x".into()), 415, "unsupported-format"),
+        (Problem::UnsupportedEncoding("gzip".into()), 415, "unsupported-encoding"),
+        (Problem::Impossible("x".into()), 422, "impossible-cloud"),
+        (Problem::WarmingUp, 503, "warming-up"),
+        (Problem::Draining, 503, "draining"),
+        (Problem::QueueFull { wanted: 1, queued: 5, limit: 5, retry_after: second }, 503, "queue-full"),
+        (Problem::HeldFull { used: 4, limit: 5 }, 503, "memory-full"),
+        (Problem::Deadline { limit: second }, 504, "deadline"),
+        (Problem::Internal("secret".into()), 500, "internal"),
+    ]
+}
+
 #[cfg(test)]
 mod tests {
+    use super::every_problem as all;
     use super::*;
-
-    /// One of each.
-    fn all() -> Vec<(Problem, u16, &'static str)> {
-        let second = Duration::from_millis(1500);
-        vec![
-            (Problem::NotFound, 404, "not-found"),
-            (Problem::UnknownModel("x".into()), 404, "unknown-model"),
-            (Problem::MalformedRequest("x".into()), 400, "malformed-request"),
-            (Problem::MethodNotAllowed, 405, "method-not-allowed"),
-            (Problem::parameter("ratio", "missing".into()), 400, "invalid-parameter"),
-            (Problem::Interrupted("x".into()), 400, "interrupted-body"),
-            (Problem::Malformed("x".into()), 400, "malformed-cloud"),
-            (Problem::UploadStalled { limit: second }, 408, "upload-stalled"),
-            (Problem::BodyTooLarge { limit: 5 }, 413, "body-too-large"),
-            (Problem::TooManyPointsIn { points: 9, limit: 5 }, 413, "too-many-points-in"),
-            (Problem::TooManyPointsOut { points: 9, limit: 5 }, 413, "too-many-points-out"),
-            (Problem::ResultTooLarge { points: 9, bytes: 99, limit: 5 }, 413, "result-too-large"),
-            (Problem::UnsupportedFormat("x".into()), 415, "unsupported-format"),
-            (Problem::UnsupportedEncoding("gzip".into()), 415, "unsupported-encoding"),
-            (Problem::Impossible("x".into()), 422, "impossible-cloud"),
-            (Problem::WarmingUp, 503, "warming-up"),
-            (Problem::Draining, 503, "draining"),
-            (Problem::QueueFull { wanted: 1, queued: 5, limit: 5, retry_after: second }, 503, "queue-full"),
-            (Problem::HeldFull { used: 4, limit: 5 }, 503, "memory-full"),
-            (Problem::Deadline { limit: second }, 504, "deadline"),
-            (Problem::Internal("secret".into()), 500, "internal"),
-        ]
-    }
 
     async fn document(problem: &Problem) -> serde_json::Value {
         let bytes = axum::body::to_bytes(problem.body("id-1"), 10_000).await.expect("a body");

@@ -42,18 +42,18 @@ const JUDGED: usize = 64 << 10;
 
 /// All paths of the protocol.
 pub(super) fn routes() -> Router<Arc<App>> {
-    let mut routes = Router::new()
+    Router::new()
         .route("/v2", get(describe::server))
         .route("/v2/health/live", get(|| async { Json(serde_json::json!({ "live": true })) }))
-        .route("/v2/health/ready", get(ready));
-    for model in ["/v2/models/{model}", "/v2/models/{model}/versions/{version}"] {
-        routes = routes
-            .route(model, get(describe::model))
-            .route(&format!("{model}/config"), get(describe::config))
-            .route(&format!("{model}/ready"), get(model_ready))
-            .route(&format!("{model}/infer"), post(infer));
-    }
-    routes
+        .route("/v2/health/ready", get(ready))
+        .route("/v2/models/{model}", get(describe::model))
+        .route("/v2/models/{model}/config", get(describe::config))
+        .route("/v2/models/{model}/ready", get(model_ready))
+        .route("/v2/models/{model}/infer", post(infer))
+        .route("/v2/models/{model}/versions/{version}", get(describe::model))
+        .route("/v2/models/{model}/versions/{version}/config", get(describe::config))
+        .route("/v2/models/{model}/versions/{version}/ready", get(model_ready))
+        .route("/v2/models/{model}/versions/{version}/infer", post(infer))
 }
 
 /// Whether a path is this protocol's, and so errors there have its form.
@@ -220,7 +220,7 @@ impl Datatype {
 }
 
 /// The names of the parameters that a request may have.
-const PARAMETERS: [&str; 6] = ["ratio", "points", "spacing", "density", "seed", "keep_input"];
+pub(super) const PARAMETERS: [&str; 6] = ["ratio", "points", "spacing", "density", "seed", "keep_input"];
 
 /// Reads the parameters of a request, which are those of `/upsample` that tell of points alone.
 fn parameters(pairs: &[(String, String)]) -> Result<Parameters, Problem> {
