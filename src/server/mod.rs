@@ -9,7 +9,7 @@
 //! | `record` | around each request: id, log, metrics |
 //! | `upsample` | the handler, from body to body |
 //! | `inference` | the same work as tensors in JSON or binary: the Open Inference Protocol |
-//! | `query`, `upload`, `download` | its parts: parameters, the body in, the body out |
+//! | `query`, `upload`, `decode`, `download` | its parts: parameters, the body in, what compresses it, the body out |
 //! | `problem` | every failure, its status and its words: the one table |
 //! | `openapi` | the interface described, for programs and for people |
 //! | `config`, `budget`, `readiness`, `metrics`, `request_id` | one noun each |
@@ -24,6 +24,7 @@ mod activity;
 mod app;
 mod budget;
 mod config;
+mod decode;
 mod download;
 mod inference;
 mod metrics;

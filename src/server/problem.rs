@@ -11,6 +11,7 @@ use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use serde::Serialize;
 
+use super::decode::Coding;
 use crate::cascade::CascadeError;
 use crate::engine::EngineError;
 use crate::formats::FormatError;
@@ -100,8 +101,8 @@ pub(super) enum Problem {
         /// The header.
         wanted: String,
     },
-    /// The body is compressed.
-    #[error("Content-Encoding {0:?} is not supported; send the body as it is")]
+    /// The body is compressed in a way that is not read.
+    #[error("Content-Encoding {0:?} is not supported; there are gzip and deflate, or send the body as it is")]
     UnsupportedEncoding(String),
     /// A readable cloud that cannot be upsampled: too few points, all equal.
     #[error("{0}")]
@@ -279,7 +280,7 @@ impl Problem {
                 (S::NOT_ACCEPTABLE, "not-acceptable", "No format that the client takes", None)
             }
             Self::UnsupportedEncoding(_) => {
-                (S::UNSUPPORTED_MEDIA_TYPE, "unsupported-encoding", "The body is compressed", None)
+                (S::UNSUPPORTED_MEDIA_TYPE, "unsupported-encoding", "Not a compression that is read", None)
             }
             Self::Impossible(_) => {
                 (S::UNPROCESSABLE_ENTITY, "impossible-cloud", "The cloud cannot be upsampled", None)
@@ -384,7 +385,7 @@ impl IntoResponse for Problem {
         }
         if let Self::UnsupportedEncoding(_) = self {
             // RFC 9110, section 15.5.16: says what would have been accepted.
-            headers.insert(header::ACCEPT_ENCODING, HeaderValue::from_static("identity"));
+            headers.insert(header::ACCEPT_ENCODING, HeaderValue::from_static(Coding::ACCEPTED));
         }
         response.extensions_mut().insert(self);
         response

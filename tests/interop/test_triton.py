@@ -102,6 +102,15 @@ def test_without_outputs_and_with_a_version(client, sphere):
     assert result.get_output("points")["parameters"]["binary_data_size"] == 2001 * 24
 
 
+@pytest.mark.parametrize("algorithm", ["gzip", "deflate"])
+def test_requests_may_be_compressed(client, sphere, algorithm):
+    _, normals = sphere
+    asked = [tensor(normals)]
+    plain = client.infer("densecloud", asked, parameters={"ratio": 2})
+    result = client.infer("densecloud", asked, parameters={"ratio": 2}, request_compression_algorithm=algorithm)
+    assert np.array_equal(result.as_numpy("points"), plain.as_numpy("points"))
+
+
 def test_several_at_a_time(server, sphere, expected):
     _, normals = sphere
     alone = {seed: expected(normals, "--ratio", 2, "--seed", seed) for seed in range(4)}

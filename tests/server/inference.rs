@@ -297,7 +297,7 @@ fn unknown_models_paths_and_methods_have_the_protocols_form() {
     let (status, why) = error(&client.reply());
     assert_eq!((status, why.contains("among the request's")), (400, true), "{why}");
     for (header, status) in [
-        ("content-encoding: gzip", 415),
+        ("content-encoding: br", 415),
         ("inference-header-content-length: -1", 400),
         ("inference-header-content-length: 4", 400),
     ] {

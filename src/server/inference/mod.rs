@@ -117,7 +117,7 @@ async fn infer(
 async fn answer(app: &Arc<App>, headers: &HeaderMap, upload: &mut Upload) -> Result<Response, Problem> {
     app.readiness.check()?;
     let header = header_length(headers)?;
-    let length = upload.length();
+    let length = upload.length(headers);
     let mut expected = None;
     let judge = |bytes: &[u8], _new| match header {
         Some(header) if header <= bytes.len().min(JUDGED) => {
