@@ -16,7 +16,7 @@ use super::config::Config;
 use super::metrics::Metrics;
 use super::problem::Problem;
 use super::readiness::Readiness;
-use super::{record, upsample};
+use super::{inference, openapi, record, upsample};
 use crate::engine::Engine;
 
 /// One server's state.
@@ -70,6 +70,9 @@ pub(super) fn router(app: Arc<App>) -> Router {
         .route("/healthz", get(healthz))
         .route("/readyz", get(readyz))
         .route("/metrics", get(metrics))
+        .route("/openapi.json", get(openapi::openapi))
+        .route("/docs", get(openapi::docs))
+        .merge(inference::routes())
         .fallback(|| async { Problem::NotFound })
         .method_not_allowed_fallback(|| async { Problem::MethodNotAllowed })
         .layer(middleware::from_fn_with_state(Arc::clone(&app), record::record))

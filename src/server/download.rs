@@ -13,7 +13,7 @@ use crate::cloud::{Attribute, Origin, Position};
 use crate::formats::{CloudWriter, Format, FormatError, encode};
 
 /// Points encoded at a time: 48 KiB in the commonest format, well under a millisecond of work.
-const BLOCK: usize = 4096;
+pub(super) const BLOCK: usize = 4096;
 
 /// Bytes of a chunk of a result that is encoded as a whole.
 const CHUNK: usize = 256 * 1024;
@@ -32,17 +32,22 @@ pub(super) fn result_bytes(points: u64, attribute_bytes: u64, format: Format) ->
     points.saturating_mul(if format.is_streamed() { a_point } else { 3 * a_point + 16 })
 }
 
-/// A result as a response's body.
+/// A result as a response's body, which holds its share of the memory until it is over.
+pub(super) fn body(dense: Dense, format: Format, held: Held) -> Body {
+    let mut encoder = Encoder { dense, format, next: 0, stage: Stage::Start, sink: Sink::default() };
+    blocks(held, move || encoder.block().map_err(io::Error::other))
+}
+
+/// A body of blocks, up to the first `None`.
 ///
-/// Each block is encoded on a blocking thread when the connection asks for it. So a slow reader
+/// Each block is made on a blocking thread when the connection asks for it. So a slow reader
 /// occupies no thread, neither the engine's nor one that encodes; it holds the result's memory,
 /// which `held` accounts for, until it is done or [`super::activity`] ends the connection.
-pub(super) fn body(dense: Dense, format: Format, held: Held) -> Body {
-    let state = Encoder { dense, format, next: 0, stage: Stage::Start, sink: Sink::default(), _held: held };
-    Body::from_stream(stream::try_unfold(state, |mut state| async move {
-        let step = spawn_blocking(move || state.block().map(|block| (block, state)));
-        let (block, state) = step.await.map_err(io::Error::other)?.map_err(io::Error::other)?;
-        Ok::<_, io::Error>(block.map(|block| (block, state)))
+pub(super) fn blocks(held: Held, next: impl FnMut() -> io::Result<Option<Bytes>> + Send + 'static) -> Body {
+    Body::from_stream(stream::try_unfold((next, held), |(mut next, held)| async move {
+        let step = spawn_blocking(move || next().map(|block| (block, next)));
+        let (block, next) = step.await.map_err(io::Error::other)??;
+        Ok::<_, io::Error>(block.map(|block| (block, (next, held))))
     }))
 }
 
@@ -53,7 +58,6 @@ struct Encoder {
     next: usize,
     stage: Stage,
     sink: Sink,
-    _held: Held,
 }
 
 enum Stage {

@@ -8,8 +8,10 @@
 //! | `app` | what handlers share; the table of paths |
 //! | `record` | around each request: id, log, metrics |
 //! | `upsample` | the handler, from body to body |
-//! | `query`, `upload`, `download` | its parts: parameters, the body in, the body out |
+//! | `inference` | the same work as tensors in JSON or binary: the Open Inference Protocol |
+//! | `query`, `upload`, `decode`, `download` | its parts: parameters, the body in, what compresses it, the body out |
 //! | `problem` | every failure, its status and its words: the one table |
+//! | `openapi` | the interface described, for programs and for people |
 //! | `config`, `budget`, `readiness`, `metrics`, `request_id` | one noun each |
 //!
 //! Invariants: nothing blocks the async threads; no wait is without a deadline; memory grows with
@@ -22,8 +24,11 @@ mod activity;
 mod app;
 mod budget;
 mod config;
+mod decode;
 mod download;
+mod inference;
 mod metrics;
+mod openapi;
 mod problem;
 mod query;
 mod readiness;

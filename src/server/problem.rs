@@ -11,6 +11,7 @@ use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use serde::Serialize;
 
+use super::decode::Coding;
 use crate::cascade::CascadeError;
 use crate::engine::EngineError;
 use crate::formats::FormatError;
@@ -20,8 +21,14 @@ use crate::survey::GoalError;
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub(super) enum Problem {
     /// No such path.
-    #[error("there are /upsample, /healthz, /readyz and /metrics")]
+    #[error("/openapi.json and /docs have all paths")]
     NotFound,
+    /// The path names a model, or a version, that is not there.
+    #[error("there is the model \"densecloud\" with version \"1\", not {0}")]
+    UnknownModel(String),
+    /// An inference request that breaks the protocol, or whose tensors are not those of the model.
+    #[error("{0}")]
+    MalformedRequest(String),
     /// The path exists, but not for this method.
     #[error("the Allow header has the methods of this path")]
     MethodNotAllowed,
@@ -94,8 +101,8 @@ pub(super) enum Problem {
         /// The header.
         wanted: String,
     },
-    /// The body is compressed.
-    #[error("Content-Encoding {0:?} is not supported; send the body as it is")]
+    /// The body is compressed in a way that is not read.
+    #[error("Content-Encoding {0:?} is not supported; there are gzip and deflate, or send the body as it is")]
     UnsupportedEncoding(String),
     /// A readable cloud that cannot be upsampled: too few points, all equal.
     #[error("{0}")]
@@ -232,6 +239,10 @@ impl Problem {
         use StatusCode as S;
         let (status, name, title, setting) = match self {
             Self::NotFound => (S::NOT_FOUND, "not-found", "No such path", None),
+            Self::UnknownModel(_) => (S::NOT_FOUND, "unknown-model", "No such model", None),
+            Self::MalformedRequest(_) => {
+                (S::BAD_REQUEST, "malformed-request", "The inference request cannot be read", None)
+            }
             Self::MethodNotAllowed => {
                 (S::METHOD_NOT_ALLOWED, "method-not-allowed", "Not for this method", None)
             }
@@ -269,7 +280,7 @@ impl Problem {
                 (S::NOT_ACCEPTABLE, "not-acceptable", "No format that the client takes", None)
             }
             Self::UnsupportedEncoding(_) => {
-                (S::UNSUPPORTED_MEDIA_TYPE, "unsupported-encoding", "The body is compressed", None)
+                (S::UNSUPPORTED_MEDIA_TYPE, "unsupported-encoding", "Not a compression that is read", None)
             }
             Self::Impossible(_) => {
                 (S::UNPROCESSABLE_ENTITY, "impossible-cloud", "The cloud cannot be upsampled", None)
@@ -338,6 +349,11 @@ impl Problem {
     }
 }
 
+/// The body of an error under `/v2`, as the Open Inference Protocol has it.
+pub(super) fn inference_error(problem: &Problem) -> Body {
+    Body::from(serde_json::json!({ "error": problem.to_string() }).to_string())
+}
+
 /// The members of RFC 9457, then our own.
 #[derive(Serialize)]
 struct Document<'a> {
@@ -369,42 +385,47 @@ impl IntoResponse for Problem {
         }
         if let Self::UnsupportedEncoding(_) = self {
             // RFC 9110, section 15.5.16: says what would have been accepted.
-            headers.insert(header::ACCEPT_ENCODING, HeaderValue::from_static("identity"));
+            headers.insert(header::ACCEPT_ENCODING, HeaderValue::from_static(Coding::ACCEPTED));
         }
         response.extensions_mut().insert(self);
         response
     }
 }
 
+/// One of each, with its status and its name.
+#[cfg(test)]
+pub(super) fn every_problem() -> Vec<(Problem, u16, &'static str)> {
+    let second = Duration::from_millis(1500);
+    vec![
+        (Problem::NotFound, 404, "not-found"),
+        (Problem::UnknownModel("x".into()), 404, "unknown-model"),
+        (Problem::MalformedRequest("x".into()), 400, "malformed-request"),
+        (Problem::MethodNotAllowed, 405, "method-not-allowed"),
+        (Problem::parameter("ratio", "missing".into()), 400, "invalid-parameter"),
+        (Problem::Interrupted("x".into()), 400, "interrupted-body"),
+        (Problem::Malformed("x".into()), 400, "malformed-cloud"),
+        (Problem::NotAcceptable { wanted: "x".into() }, 406, "not-acceptable"),
+        (Problem::UploadStalled { limit: second }, 408, "upload-stalled"),
+        (Problem::BodyTooLarge { limit: 5 }, 413, "body-too-large"),
+        (Problem::TooManyPointsIn { points: 9, limit: 5 }, 413, "too-many-points-in"),
+        (Problem::TooManyPointsOut { points: 9, limit: 5 }, 413, "too-many-points-out"),
+        (Problem::ResultTooLarge { points: 9, bytes: 99, limit: 5 }, 413, "result-too-large"),
+        (Problem::UnsupportedFormat("x".into()), 415, "unsupported-format"),
+        (Problem::UnsupportedEncoding("gzip".into()), 415, "unsupported-encoding"),
+        (Problem::Impossible("x".into()), 422, "impossible-cloud"),
+        (Problem::WarmingUp, 503, "warming-up"),
+        (Problem::Draining, 503, "draining"),
+        (Problem::QueueFull { wanted: 1, queued: 5, limit: 5, retry_after: second }, 503, "queue-full"),
+        (Problem::HeldFull { used: 4, limit: 5 }, 503, "memory-full"),
+        (Problem::Deadline { limit: second }, 504, "deadline"),
+        (Problem::Internal("secret".into()), 500, "internal"),
+    ]
+}
+
 #[cfg(test)]
 mod tests {
+    use super::every_problem as all;
     use super::*;
-
-    /// One of each.
-    fn all() -> Vec<(Problem, u16, &'static str)> {
-        let second = Duration::from_millis(1500);
-        vec![
-            (Problem::NotFound, 404, "not-found"),
-            (Problem::MethodNotAllowed, 405, "method-not-allowed"),
-            (Problem::parameter("ratio", "missing".into()), 400, "invalid-parameter"),
-            (Problem::Interrupted("x".into()), 400, "interrupted-body"),
-            (Problem::Malformed("x".into()), 400, "malformed-cloud"),
-            (Problem::UploadStalled { limit: second }, 408, "upload-stalled"),
-            (Problem::BodyTooLarge { limit: 5 }, 413, "body-too-large"),
-            (Problem::TooManyPointsIn { points: 9, limit: 5 }, 413, "too-many-points-in"),
-            (Problem::TooManyPointsOut { points: 9, limit: 5 }, 413, "too-many-points-out"),
-            (Problem::ResultTooLarge { points: 9, bytes: 99, limit: 5 }, 413, "result-too-large"),
-            (Problem::UnsupportedFormat("x".into()), 415, "unsupported-format"),
-            (Problem::UnsupportedEncoding("gzip".into()), 415, "unsupported-encoding"),
-            (Problem::Impossible("x".into()), 422, "impossible-cloud"),
-            (Problem::WarmingUp, 503, "warming-up"),
-            (Problem::Draining, 503, "draining"),
-            (Problem::QueueFull { wanted: 1, queued: 5, limit: 5, retry_after: second }, 503, "queue-full"),
-            (Problem::HeldFull { used: 4, limit: 5 }, 503, "memory-full"),
-            (Problem::Deadline { limit: second }, 504, "deadline"),
-            (Problem::Internal("secret".into()), 500, "internal"),
-        ]
-    }
 
     async fn document(problem: &Problem) -> serde_json::Value {
         let bytes = axum::body::to_bytes(problem.body("id-1"), 10_000).await.expect("a body");

@@ -9,6 +9,20 @@ use crate::cascade::{MAX_RATIO, Target};
 use crate::cloud::Position;
 use crate::survey::Goal;
 
+/// All there are.
+pub(super) const NAMES: [&str; 10] = [
+    "ratio",
+    "points",
+    "spacing",
+    "density",
+    "seed",
+    "attributes",
+    "keep_input",
+    "source_fields",
+    "normals",
+    "sensor",
+];
+
 /// What a request asks for, in the query of its URI.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Parameters {
@@ -29,6 +43,14 @@ impl Parameters {
     pub(super) fn parse(uri: &Uri) -> Result<Self, Problem> {
         let Query(pairs) = Query::<Vec<(String, String)>>::try_from_uri(uri)
             .map_err(|error| Problem::parameter("query", error.to_string()))?;
+        Self::from_pairs(&pairs)
+    }
+
+    /// As [`Parameters::parse`], from names and values that came in another way.
+    ///
+    /// # Errors
+    /// The same.
+    pub(super) fn from_pairs(pairs: &[(String, String)]) -> Result<Self, Problem> {
         let (mut goals, mut seed, mut finish) = (Vec::new(), None, Finish::default());
         for (i, (name, value)) in pairs.iter().enumerate() {
             if pairs[..i].iter().any(|(earlier, _)| earlier == name) {
@@ -46,9 +68,8 @@ impl Parameters {
                 "normals" => finish.estimate_normals = parse_normals(value)?,
                 "sensor" => finish.sensor = Some(parse_sensor(value)?),
                 _ => {
-                    let why = "unknown; there are ratio, points, spacing, density, seed, attributes, keep_input, \
-                               source_fields, normals and sensor";
-                    return Err(Problem::parameter(name, why.into()));
+                    let why = format!("unknown; there are {}", NAMES.join(", "));
+                    return Err(Problem::parameter(name, why));
                 }
             }
         }
@@ -176,6 +197,14 @@ mod tests {
         assert_eq!(all, Parameters { goal: Goal::Spacing(0.5), seed: None, finish });
         assert_eq!(parse("?density=7").expect("parameters").goal, Goal::Density(7.0));
         assert_eq!(parse("?density=7").expect("parameters").points_out(9), 9);
+    }
+
+    #[test]
+    fn every_name_is_known() {
+        for name in NAMES {
+            let Err(Problem::Parameter { why, .. }) = parse(&format!("?{name}=?")) else { panic!("{name}") };
+            assert!(!why.contains("unknown"), "{name}: {why}");
+        }
     }
 
     #[test]

@@ -7,7 +7,7 @@ use std::time::Instant;
 
 use axum::body::{Body, Bytes, HttpBody};
 use axum::extract::{Request, State};
-use axum::http::{Method, StatusCode, header};
+use axum::http::{HeaderValue, Method, StatusCode, header};
 use axum::middleware::Next;
 use axum::response::Response;
 use hyper::body::{Frame, SizeHint};
@@ -16,7 +16,8 @@ use tracing::{Instrument, Span};
 use super::accept::Connection;
 use super::activity::Busy;
 use super::app::App;
-use super::problem::Problem;
+use super::inference;
+use super::problem::{Problem, inference_error};
 use super::request_id::{self, RequestId};
 
 /// Points in and out of an answered request; a handler leaves them on its response for the log.
@@ -38,6 +39,7 @@ pub(super) async fn record(State(app): State<Arc<App>>, request: Request, next: 
     );
     let busy = connection.map(|connection| connection.activity.begin());
     let mut record = Record::begin(app, request.uri().path(), span.clone(), busy);
+    let inference = inference::is_path(request.uri().path());
     let bodyless = request.method() == Method::HEAD;
     let mut response = next.run(request).instrument(span).await;
     record.status = Some(response.status());
@@ -49,7 +51,13 @@ pub(super) async fn record(State(app): State<Arc<App>>, request: Request, next: 
             if let Problem::Internal(why) = &problem {
                 tracing::error!(parent: &record.span, why, "internal failure");
             }
-            *response.body_mut() = problem.body(id.as_str());
+            if inference {
+                *response.body_mut() = inference_error(&problem);
+                let json = HeaderValue::from_static("application/json");
+                response.headers_mut().insert(header::CONTENT_TYPE, json);
+            } else {
+                *response.body_mut() = problem.body(id.as_str());
+            }
             record.why = Some(problem.to_string());
             problem.outcome()
         }
@@ -78,7 +86,7 @@ struct Record {
 
 impl Record {
     fn begin(app: Arc<App>, path: &str, span: Span, busy: Option<Busy>) -> Self {
-        let probe = matches!(path, "/healthz" | "/readyz" | "/metrics");
+        let probe = matches!(path, "/healthz" | "/readyz" | "/metrics") || inference::is_probe(path);
         if !probe {
             app.in_flight.send_modify(|count| *count += 1);
             app.metrics.begun();

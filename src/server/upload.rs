@@ -9,6 +9,7 @@ use tokio::time::timeout;
 
 use super::app::App;
 use super::budget::Held;
+use super::decode::{Coding, Decoder, Refusal};
 use super::problem::Problem;
 use super::query::Parameters;
 use crate::cloud::Cloud;
@@ -47,7 +48,7 @@ impl Upload {
     /// Reads the body to its end. Memory grows with what arrives, not with what is claimed.
     ///
     /// # Errors
-    /// The body is compressed, too large, stalls or breaks off; its header claims too much, for the
+    /// The body is compressed in an unknown way, too large, stalls or breaks off; its header claims too much, for the
     /// input or for the result; or its beginning is in no known format. All but the end of the body
     /// are noticed while it arrives.
     pub(super) async fn receive(
@@ -56,31 +57,52 @@ impl Upload {
         app: &App,
         parameters: &Parameters,
     ) -> Result<Received, Problem> {
+        let mut header_seen = false;
+        let judge = |bytes: &[u8], new| {
+            if !header_seen && header_is_there(bytes, new) {
+                header_seen = true;
+                check_header(bytes, app, parameters)?;
+            }
+            Ok(())
+        };
+        self.receive_judged(headers, app, judge).await
+    }
+
+    /// As [`Upload::receive`], for what is not a file: after each piece, `judge` is shown all that has
+    /// arrived, and how much of it is new.
+    pub(super) async fn receive_judged(
+        &mut self,
+        headers: &HeaderMap,
+        app: &App,
+        mut judge: impl FnMut(&[u8], usize) -> Result<(), Problem>,
+    ) -> Result<Received, Problem> {
         let start = Instant::now();
-        check_encoding(headers)?;
+        let coding = Coding::of(headers)?;
         let limit = app.config.limits.body_bytes;
-        let too_large = Problem::BodyTooLarge { limit };
         // From Content-Length, or from HTTP/2's END_STREAM.
         if self.body.size_hint().lower() > limit {
-            return Err(too_large);
+            return Err(Problem::BodyTooLarge { limit });
         }
-        let mut held = app.budget.hold(0).ok_or_else(|| app.held_full())?;
-        let mut bytes = Vec::new();
-        let mut header_seen = false;
+        let held = app.budget.hold(0).ok_or_else(|| app.held_full())?;
+        let refused = |refusal| match refusal {
+            Refusal::TooLarge => Problem::BodyTooLarge { limit },
+            Refusal::NoRoom => app.held_full(),
+            Refusal::Broken(why) => Problem::Interrupted(why),
+        };
+        let mut decoder = Decoder::new(coding, held, limit);
         while let Some(chunk) = self.next(app.config.timeouts.stall).await? {
-            if (bytes.len() + chunk.len()) as u64 > limit {
-                return Err(too_large);
-            }
-            if !held.grow(chunk.len() as u64) {
-                return Err(app.held_full());
-            }
-            bytes.extend_from_slice(&chunk);
-            if !header_seen && header_is_there(&bytes, chunk.len()) {
-                header_seen = true;
-                check_header(&bytes, app, parameters)?;
-            }
+            let before = decoder.bytes().len();
+            decoder = decoder.add(chunk).await.map_err(refused)?;
+            judge(decoder.bytes(), decoder.bytes().len() - before)?;
         }
+        let (bytes, held) = decoder.finish().map_err(refused)?;
         Ok(Received { bytes, _held: held, took: start.elapsed() })
+    }
+
+    /// Bytes in the whole body, where that is known beforehand.
+    pub(super) fn length(&self, headers: &HeaderMap) -> Option<u64> {
+        let plain = !headers.contains_key(header::CONTENT_ENCODING);
+        self.body.size_hint().exact().filter(|_| plain)
     }
 
     /// Throws away what still arrives, in the background, for a moment.
@@ -123,6 +145,10 @@ impl Upload {
 }
 
 impl Received {
+    pub(super) fn bytes(&self) -> &[u8] {
+        &self.bytes
+    }
+
     /// Reads the cloud, and the format it came in. Blocking work: O(bytes).
     ///
     /// # Errors
@@ -137,15 +163,6 @@ impl Received {
 fn reader_limits(app: &App) -> Limits {
     let limits = &app.config.limits;
     Limits { max_bytes: Some(limits.body_bytes), max_points: Some(limits.points_in) }
-}
-
-fn check_encoding(headers: &HeaderMap) -> Result<(), Problem> {
-    match headers.get(header::CONTENT_ENCODING) {
-        Some(coding) if !coding.as_bytes().eq_ignore_ascii_case(b"identity") => {
-            Err(Problem::UnsupportedEncoding(String::from_utf8_lossy(coding.as_bytes()).into_owned()))
-        }
-        _ => Ok(()),
-    }
 }
 
 fn is_ply(bytes: &[u8]) -> bool {
@@ -205,17 +222,5 @@ mod tests {
     fn text_is_looked_at_once_there_is_enough_of_it() {
         assert!(!header_is_there(b"1 2 3\n", 6));
         assert!(header_is_there(&[b' '; SNIFF], 1));
-    }
-
-    #[test]
-    fn only_plain_bodies_are_taken() {
-        let coded = |coding: &'static str| {
-            let mut headers = HeaderMap::new();
-            headers.insert(header::CONTENT_ENCODING, header::HeaderValue::from_static(coding));
-            check_encoding(&headers)
-        };
-        assert_eq!(check_encoding(&HeaderMap::new()), Ok(()));
-        assert_eq!(coded("Identity"), Ok(()));
-        assert_eq!(coded("gzip"), Err(Problem::UnsupportedEncoding("gzip".into())));
     }
 }

@@ -4,6 +4,7 @@ use std::fmt::Write;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use axum::Extension;
 use axum::body::Body;
 use axum::extract::State;
 use axum::http::{HeaderMap, HeaderValue, Uri, header};
@@ -18,9 +19,9 @@ use super::download::{self, Dense, result_bytes};
 use super::problem::Problem;
 use super::query::{self, Parameters};
 use super::record::Points;
-use super::upload::{Received, Upload};
+use super::upload::Upload;
 use crate::cascade::Settings;
-use crate::cloud::{Origin, Table, bytes_a_point};
+use crate::cloud::{Cloud, Origin, Table, bytes_a_point};
 use crate::engine::{Job, Request};
 use crate::formats::Format;
 use crate::provenance;
@@ -52,14 +53,76 @@ async fn answer(
     let parameters = Parameters::parse(uri)?;
     let wanted = accepted(headers)?;
     let received = upload.receive(headers, app, &parameters).await?;
+    let took = received.took;
+    let read = move |app: &App| {
+        let (cloud, input) = received.parse(app)?;
+        Ok((Order { cloud, parameters, input, wanted }, ()))
+    };
+    let (done, ()) = run(app, took, read).await?;
+    let length = done.format.encoded_len(done.points.made, &done.dense.attributes, &done.dense.origin);
+    let mut headers = done.headers();
+    headers.insert(header::CONTENT_TYPE, HeaderValue::from_static(done.format.media_type()));
+    if let Some(length) = length {
+        headers.insert(header::CONTENT_LENGTH, length.into());
+    }
+    let body = download::body(done.dense, done.format, done.held);
+    Ok((headers, Extension(done.points), body).into_response())
+}
+
+/// A cloud, and what is wanted of it.
+pub(super) struct Order {
+    pub(super) cloud: Cloud,
+    pub(super) parameters: Parameters,
+    /// What it came in.
+    pub(super) input: Format,
+    /// What the result shall be in; `None` is as it came.
+    pub(super) wanted: Option<Format>,
+}
+
+/// A finished result, and what its receiver is told beside it.
+pub(super) struct Done {
+    pub(super) dense: Dense,
+    pub(super) held: Held,
+    pub(super) format: Format,
+    pub(super) points: Points,
+    pub(super) provenance: String,
+    pub(super) warnings: Vec<String>,
+    timing: Timing,
+}
+
+impl Done {
+    /// The headers that every result has.
+    pub(super) fn headers(&self) -> HeaderMap {
+        let mut headers = HeaderMap::new();
+        headers.insert("densecloud-points-in", self.points.read.into());
+        headers.insert("densecloud-points-out", self.points.made.into());
+        headers.insert("densecloud-provenance", visible(&self.provenance));
+        headers.insert("server-timing", visible(&self.timing.0));
+        for warning in &self.warnings {
+            headers.append("densecloud-warning", visible(warning));
+        }
+        headers
+    }
+}
+
+/// Upsamples what `read` makes of a body that took `upload` to arrive; `read` runs on a blocking thread,
+/// and what else it gives comes back with the result.
+pub(super) async fn run<T: Send + 'static>(
+    app: &Arc<App>,
+    upload: Duration,
+    read: impl FnOnce(&App) -> Result<(Order, T), Problem> + Send + 'static,
+) -> Result<(Done, T), Problem> {
     let mut timing = Timing::default();
-    timing.add(app, "upload", received.took);
+    timing.add(app, "upload", upload);
     let start = Instant::now();
     let submit = {
         let app = Arc::clone(app);
-        spawn_blocking(move || submit(&app, received, &parameters, wanted))
+        spawn_blocking(move || {
+            let (order, rest) = read(&app)?;
+            Ok::<_, Problem>((submit(&app, order)?, rest))
+        })
     };
-    let submitted = submit.await.map_err(|error| Problem::Internal(error.to_string()))??;
+    let (submitted, rest) = submit.await.map_err(|error| Problem::Internal(error.to_string()))??;
     timing.add(app, "parse", start.elapsed());
     let start = Instant::now();
     let Submitted { job, held, format, origin, provenance, points_in, mut warnings } = submitted;
@@ -75,23 +138,8 @@ async fn answer(
     if !lost.is_empty() {
         warnings.push(format!("the result's format has no place for {}", lost.join(", ")));
     }
-    let length = format.encoded_len(points.made, &outcome.attributes, &origin);
     let dense = Dense { positions: outcome.positions, attributes: outcome.attributes, origin };
-    let mut response = download::body(dense, format, held).into_response();
-    let headers = response.headers_mut();
-    headers.insert(header::CONTENT_TYPE, HeaderValue::from_static(format.media_type()));
-    if let Some(length) = length {
-        headers.insert(header::CONTENT_LENGTH, length.into());
-    }
-    headers.insert("densecloud-points-in", points.read.into());
-    headers.insert("densecloud-points-out", points.made.into());
-    headers.insert("densecloud-provenance", visible(&provenance));
-    headers.insert("server-timing", visible(&timing.0));
-    for warning in warnings {
-        headers.append("densecloud-warning", visible(&warning));
-    }
-    response.extensions_mut().insert(points);
-    Ok(response)
+    Ok((Done { dense, held, format, points, provenance, warnings, timing }, rest))
 }
 
 /// A cloud that the engine has taken.
@@ -107,14 +155,9 @@ struct Submitted {
     warnings: Vec<String>,
 }
 
-/// Blocking work: parses the body and queues the cloud.
-fn submit(
-    app: &App,
-    received: Received,
-    parameters: &Parameters,
-    wanted: Option<Format>,
-) -> Result<Submitted, Problem> {
-    let (cloud, input) = received.parse(app)?;
+/// Blocking work: checks and queues the cloud.
+fn submit(app: &App, order: Order) -> Result<Submitted, Problem> {
+    let Order { cloud, parameters, input, wanted } = order;
     let points_in = cloud.positions.len() as u64;
     app.check_points(points_in, parameters.points_out(points_in))?;
     let target = parameters.goal.target(&cloud.positions).map_err(Problem::from_goal)?;
@@ -126,7 +169,7 @@ fn submit(
         warnings.extend(survey.warnings());
         format = format.fine_enough(survey.bounds, survey.result_spacing(points));
     }
-    let finish = parameters.finish.clone();
+    let finish = parameters.finish;
     let (mut origin, lost) = finish.origin(&cloud);
     warnings.extend(lost);
     let tables = origin.tables.iter().map(Table::bytes).sum();

@@ -317,3 +317,26 @@ fn metrics_tell_what_happened() {
         assert_eq!(server.metric(line), value, "{line}");
     }
 }
+
+#[test]
+fn the_interface_describes_itself() {
+    let server = Server::start(&Scripted::new(), Config::default());
+    let reply = server.get("/openapi.json");
+    assert_eq!((reply.status, reply.header("content-type")), (200, Some("application/json")));
+    let description: serde_json::Value = serde_json::from_slice(&reply.body).expect("JSON");
+    for (path, item) in description["paths"].as_object().expect("paths") {
+        let path = path.replace("{model}", "densecloud").replace("{version}", "1");
+        let reply = server.get(&path);
+        if item["get"].is_null() {
+            assert_eq!(reply.status, 405, "{path}");
+            continue;
+        }
+        let content = item["get"]["responses"]["200"]["content"].as_object().expect("a content");
+        let media = content.keys().next().expect("a media type");
+        assert_eq!(reply.status, 200, "{path}");
+        assert!(reply.header("content-type").is_some_and(|found| found.starts_with(media)), "{path}");
+    }
+    let page = server.get("/docs");
+    assert!(page.header("content-security-policy").is_some_and(|p| p.starts_with("default-src 'none'")));
+    assert!(page.text().contains("openapi.json"));
+}

@@ -1,5 +1,6 @@
 //! What is refused, with which status, and how early.
 
+use std::io::Write;
 use std::time::Duration;
 
 use densecloud::engine::EngineConfig;
@@ -71,10 +72,10 @@ fn methods_and_compression_that_are_not_taken_say_what_is() {
     assert_eq!(reply.header("allow"), Some("POST"));
     let mut client = server.connect();
     client.send(b"POST /upsample?ratio=4 HTTP/1.1\r\nhost: x\r\nconnection: close\r\n");
-    client.send(b"content-encoding: gzip\r\ncontent-length: 3\r\n\r\nabc");
+    client.send(b"content-encoding: zstd\r\ncontent-length: 3\r\n\r\nabc");
     let reply = client.reply();
     assert_eq!((reply.status, reply.problem_name().as_str()), (415, "unsupported-encoding"));
-    assert_eq!(reply.header("accept-encoding"), Some("identity"));
+    assert_eq!(reply.header("accept-encoding"), Some("gzip, deflate, identity"));
     let mut client = server.connect();
     client.send(b"HEAD /nowhere HTTP/1.1\r\nhost: x\r\nconnection: close\r\n\r\n");
     let head = String::from_utf8(client.rest()).expect("text");
@@ -199,4 +200,47 @@ fn a_failing_model_is_the_servers_fault_and_its_words_stay_in_the_log() {
     assert_eq!((reply.status, reply.problem_name().as_str()), (500, "internal"));
     assert!(!reply.text().contains("secret"), "{}", reply.text());
     assert_eq!(server.get("/healthz").status, 200);
+}
+
+#[test]
+fn a_compressed_body_is_read_and_a_bomb_is_refused_while_it_comes() {
+    let server = Server::start(&Scripted::new(), Config { limits: limits(), ..Config::default() });
+    let ask = |coding: &str, body: &[u8], rest: usize| {
+        let mut client = server.connect();
+        let head = format!(
+            "POST /upsample?ratio=2 HTTP/1.1\r\nhost: x\r\nconnection: close\r\ncontent-encoding: {coding}\r\n\
+             content-length: {}\r\n\r\n",
+            body.len() + rest
+        );
+        client.send(head.as_bytes());
+        client.send(body);
+        client.reply()
+    };
+    let plain = server.post("/upsample?ratio=2", &encode(&cloud(500), PLY));
+    for (coding, compress) in [("gzip", gzip as fn(&[u8]) -> Vec<u8>), ("deflate", deflate)] {
+        let reply = ask(coding, &compress(&encode(&cloud(500), PLY)), 0);
+        assert_eq!(reply.status, 200, "{coding}: {}", String::from_utf8_lossy(&reply.body));
+        // All but the stages' times.
+        assert!(reply.body == plain.body, "{coding}");
+        // The end of the bomb never comes, so whatever answers has not waited for it.
+        let bomb = ask(coding, &compress(&vec![b'\n'; 1 << 20])[..900], 9);
+        assert_eq!((bomb.status, bomb.problem_name().as_str()), (413, "body-too-large"), "{coding}");
+        let many = ask(coding, &compress(&encode(&cloud(1001), PLY)), 9);
+        assert_eq!((many.status, many.problem_name().as_str()), (413, "too-many-points-in"), "{coding}");
+        let broken = ask(coding, b"1 2 3\n", 0);
+        assert_eq!((broken.status, broken.problem_name().as_str()), (400, "interrupted-body"), "{coding}");
+    }
+    crate::support::wait_until("all is given back", || server.metric("densecloud_held_bytes") == 0.0);
+}
+
+fn gzip(bytes: &[u8]) -> Vec<u8> {
+    let mut encoder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::default());
+    encoder.write_all(bytes).unwrap();
+    encoder.finish().unwrap()
+}
+
+fn deflate(bytes: &[u8]) -> Vec<u8> {
+    let mut encoder = flate2::write::ZlibEncoder::new(Vec::new(), flate2::Compression::default());
+    encoder.write_all(bytes).unwrap();
+    encoder.finish().unwrap()
 }

@@ -1,0 +1,157 @@
+"""The Open Inference Protocol against Triton's own client."""
+
+import contextlib
+import re
+import subprocess
+import threading
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+from tritonclient import http
+from tritonclient.utils import InferenceServerException, np_to_triton_dtype
+
+from conftest import PROGRAM
+
+
+@pytest.fixture(scope="module")
+def server():
+    """The address of a `densecloud serve` on a port that the system chooses."""
+    command = [PROGRAM, "serve", "--port", "0", "--max-points-in", "5000"]
+    # Its log names the port, and then that it is ready; it is read on so that the pipe stays empty.
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    address = None
+    for line in process.stderr:
+        if listening := re.search(r"address=(\S+)", line):
+            address = listening[1]
+        if "ready" in line:
+            break
+    rest = threading.Thread(target=process.stderr.read, daemon=True)
+    rest.start()
+    try:
+        assert address, "it has started"
+        yield address
+    finally:
+        process.terminate()
+        assert process.wait(60) == 0
+
+
+@pytest.fixture
+def client(server):
+    with contextlib.closing(http.InferenceServerClient(server)) as client:
+        yield client
+
+
+def tensor(points, binary=True):
+    tensor = http.InferInput("points", points.shape, np_to_triton_dtype(points.dtype))
+    return tensor.set_data_from_numpy(points, binary_data=binary)
+
+
+@pytest.fixture
+def expected(tmp_path, upsample):
+    """What the command line makes of the same points."""
+
+    def run(points, *arguments):
+        np.save(tmp_path / "source.npy", points)
+        upsample(tmp_path / "source.npy", tmp_path / "result.npy", *arguments)
+        return np.load(tmp_path / "result.npy")
+
+    return run
+
+
+def test_the_server_and_its_model_describe_themselves(client):
+    assert client.is_server_live()
+    assert client.is_server_ready()
+    assert client.get_server_metadata()["name"] == "densecloud"
+    assert "binary_tensor_data" in client.get_server_metadata()["extensions"]
+    for version in ["", "1"]:
+        assert client.is_model_ready("densecloud", version)
+        metadata = client.get_model_metadata("densecloud", version)
+        assert metadata["inputs"] == metadata["outputs"]
+        assert metadata["inputs"] == [{"name": "points", "datatype": "FP32", "shape": [-1, 3]}]
+        config = client.get_model_config("densecloud", version)
+        assert config["max_batch_size"] == 0
+        assert config["input"][0]["dims"] == [-1, 3]
+    assert not client.is_model_ready("other")
+
+
+@pytest.mark.parametrize("binary_in", [True, False])
+@pytest.mark.parametrize("binary_out", [True, False])
+@pytest.mark.parametrize("kind", ["f4", "f8"])
+def test_an_array_is_upsampled_as_by_the_command_line(client, sphere, expected, kind, binary_in, binary_out):
+    points, normals = sphere
+    source = points if kind == "f8" else normals.astype("f4")
+    outputs = [http.InferRequestedOutput("points", binary_data=binary_out)]
+
+    result = client.infer(
+        "densecloud", [tensor(source, binary_in)], outputs=outputs, request_id="7", parameters={"ratio": 4, "seed": 3}
+    )
+
+    dense = result.as_numpy("points")
+    assert dense.dtype == source.dtype
+    assert np.array_equal(dense, expected(source, "--ratio", 4, "--seed", 3))
+    assert result.get_response()["id"] == "7"
+    assert result.get_response()["model_name"] == "densecloud"
+    assert "model_sha256=" in result.get_response()["parameters"]["provenance"]
+
+
+def test_without_outputs_and_with_a_version(client, sphere):
+    _, normals = sphere
+    result = client.infer("densecloud", [tensor(normals)], model_version="1", parameters={"points": "2001"})
+    assert result.as_numpy("points").shape == (2001, 3)
+    assert result.get_output("points")["parameters"]["binary_data_size"] == 2001 * 24
+
+
+@pytest.mark.parametrize("algorithm", ["gzip", "deflate"])
+def test_requests_may_be_compressed(client, sphere, algorithm):
+    _, normals = sphere
+    asked = [tensor(normals)]
+    plain = client.infer("densecloud", asked, parameters={"ratio": 2})
+    result = client.infer("densecloud", asked, parameters={"ratio": 2}, request_compression_algorithm=algorithm)
+    assert np.array_equal(result.as_numpy("points"), plain.as_numpy("points"))
+
+
+def test_several_at_a_time(server, sphere, expected):
+    _, normals = sphere
+    alone = {seed: expected(normals, "--ratio", 2, "--seed", seed) for seed in range(4)}
+
+    def ask(seed):
+        with contextlib.closing(http.InferenceServerClient(server)) as client:
+            result = client.infer("densecloud", [tensor(normals)], parameters={"ratio": 2, "seed": seed})
+            return np.array_equal(result.as_numpy("points"), alone[seed])
+
+    with ThreadPoolExecutor(4) as pool:
+        assert all(pool.map(ask, range(4)))
+
+    with contextlib.closing(http.InferenceServerClient(server, concurrency=4)) as client:
+        asked = [
+            client.async_infer("densecloud", [tensor(normals)], parameters={"ratio": 2, "seed": seed}) for seed in alone
+        ]
+        for seed, request in enumerate(asked):
+            assert np.array_equal(request.get_result().as_numpy("points"), alone[seed])
+
+
+@pytest.mark.parametrize(
+    ("model", "shape", "options", "status", "text"),
+    [
+        ("densecloud", (100, 3), {"parameters": {"ratio": 65}}, "400", "ratio"),
+        ("densecloud", (100, 3), {}, "400", "missing"),
+        ("densecloud", (100, 4), {"parameters": {"ratio": 2}}, "400", "[N, 3]"),
+        ("densecloud", (5001, 3), {"parameters": {"ratio": 2}}, "413", "--max-points-in"),
+        ("densecloud", (5, 3), {"parameters": {"ratio": 2}}, "422", "5"),
+        ("other", (100, 3), {"parameters": {"ratio": 2}}, "404", "densecloud"),
+        (
+            "densecloud",
+            (100, 3),
+            {"parameters": {"ratio": 2}, "outputs": [http.InferRequestedOutput("normals")]},
+            "400",
+            "unknown output",
+        ),
+    ],
+)
+def test_errors_are_shown_as_they_are(client, model, shape, options, status, text):
+    source = np.random.default_rng(1).random(shape)
+    with pytest.raises(InferenceServerException) as error:
+        client.infer(model, [tensor(source)], **options)
+    assert error.value.status() == status
+    assert text in error.value.message()
