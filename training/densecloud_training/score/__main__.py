@@ -7,7 +7,7 @@ from typing import List, Sequence
 
 from ..clouds import validation_names
 from ..prepare import find_program
-from . import noisy, peers, pictures, rules, stress, validation
+from . import noisy, peers, pictures, rules, stress, targets, validation
 from .inputs import Inputs
 from .program import Program, ProgramError
 
@@ -30,6 +30,7 @@ def parser() -> argparse.ArgumentParser:
     commands.add_parser("validation", parents=[common, meshes], help="held-out shapes, beside the controls")
     commands.add_parser("stress", parents=[common, meshes], help="curves over noise and over removed points")
     commands.add_parser("rules", parents=[common, meshes], help="overlap, merging, strays, polish: each changed alone")
+    commands.add_parser("targets", parents=[common, meshes], help="how well a spacing or a density is met")
     found = commands.add_parser("peers", parents=[common], help="the PU-GAN benchmark, beside other networks")
     found.add_argument("--benchmark", type=Path, required=True, help="folder with mesh/, input_*/ and reference_*/")
     found = commands.add_parser("noisy", parents=[common, meshes], help="what cleaning before upsampling gains")
@@ -74,6 +75,8 @@ def run(arguments: argparse.Namespace) -> None:
         write(out, "stress.md", stress.text(steps))
     elif arguments.command == "rules":
         write(out, "rules.md", rules.text(rules.evaluate(held_out(arguments, program))))
+    elif arguments.command == "targets":
+        write(out, "targets.md", targets.text(targets.evaluate(held_out(arguments, program), out)))
     elif arguments.command == "peers":
         only: List[str] = arguments.shapes.split(",") if arguments.shapes else []
         write(out, "peers.md", peers.text(peers.evaluate(program, arguments.benchmark, out, only or None)))
