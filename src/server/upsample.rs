@@ -8,6 +8,7 @@ use axum::body::Body;
 use axum::extract::State;
 use axum::http::{HeaderMap, HeaderValue, Uri, header};
 use axum::response::{IntoResponse, Response};
+use serde::{Deserialize, Serialize};
 use tokio::task::spawn_blocking;
 use tokio::time::timeout;
 
@@ -21,7 +22,7 @@ use super::record::Points;
 use super::upload::{Received, Upload};
 use crate::cascade::Settings;
 use crate::cloud::{Origin, Table, bytes_a_point};
-use crate::engine::{Job, Request};
+use crate::engine::{Job, Outcome, Request};
 use crate::formats::Format;
 use crate::provenance;
 use crate::survey::{self, Survey};
@@ -62,36 +63,58 @@ async fn answer(
     let submitted = submit.await.map_err(|error| Problem::Internal(error.to_string()))??;
     timing.add(app, "parse", start.elapsed());
     let start = Instant::now();
-    let Submitted { job, held, format, origin, provenance, points_in, mut warnings } = submitted;
+    let Submitted { job, held, format, origin, mut about } = submitted;
     let outcome = job.await.map_err(|error| Problem::from_engine(error, app.engine.retry_after()))?;
-    warnings.extend(outcome.warnings());
+    about.complete(&outcome, format, &origin);
     timing.add(app, "queue", start.elapsed().saturating_sub(outcome.stages.total()));
     for (stage, took) in outcome.stages.iter() {
         timing.add(app, stage.name(), took);
     }
-    let points = Points { read: points_in, made: outcome.positions.len() as u64 };
-    app.metrics.points(points.read, points.made);
-    let lost = format.cannot_hold(&outcome.attributes, &origin);
-    if !lost.is_empty() {
-        warnings.push(format!("the result's format has no place for {}", lost.join(", ")));
-    }
-    let length = format.encoded_len(points.made, &outcome.attributes, &origin);
+    app.metrics.points(about.points_in, about.points_out);
+    let length = format.encoded_len(about.points_out, &outcome.attributes, &origin);
     let dense = Dense { positions: outcome.positions, attributes: outcome.attributes, origin };
     let mut response = download::body(dense, format, held).into_response();
     let headers = response.headers_mut();
-    headers.insert(header::CONTENT_TYPE, HeaderValue::from_static(format.media_type()));
     if let Some(length) = length {
         headers.insert(header::CONTENT_LENGTH, length.into());
     }
-    headers.insert("densecloud-points-in", points.read.into());
-    headers.insert("densecloud-points-out", points.made.into());
-    headers.insert("densecloud-provenance", visible(&provenance));
+    about.tell(headers);
     headers.insert("server-timing", visible(&timing.0));
-    for warning in warnings {
-        headers.append("densecloud-warning", visible(&warning));
-    }
-    response.extensions_mut().insert(points);
+    response.extensions_mut().insert(Points { read: about.points_in, made: about.points_out });
     Ok(response)
+}
+
+/// What the headers of an answer tell of a result.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub(super) struct About {
+    pub(super) media_type: String,
+    pub(super) points_in: u64,
+    pub(super) points_out: u64,
+    pub(super) provenance: String,
+    /// What its sender should know about how the cloud was read and made dense.
+    pub(super) warnings: Vec<String>,
+}
+
+impl About {
+    /// Adds what is known once the result is there.
+    pub(super) fn complete(&mut self, outcome: &Outcome, format: Format, origin: &Origin) {
+        self.points_out = outcome.positions.len() as u64;
+        self.warnings.extend(outcome.warnings());
+        let lost = format.cannot_hold(&outcome.attributes, origin);
+        if !lost.is_empty() {
+            self.warnings.push(format!("the result's format has no place for {}", lost.join(", ")));
+        }
+    }
+
+    pub(super) fn tell(&self, headers: &mut HeaderMap) {
+        headers.insert(header::CONTENT_TYPE, visible(&self.media_type));
+        headers.insert("densecloud-points-in", self.points_in.into());
+        headers.insert("densecloud-points-out", self.points_out.into());
+        headers.insert("densecloud-provenance", visible(&self.provenance));
+        for warning in &self.warnings {
+            headers.append("densecloud-warning", visible(warning));
+        }
+    }
 }
 
 /// A cloud that the engine has taken.
@@ -101,10 +124,17 @@ struct Submitted {
     held: Held,
     format: Format,
     origin: Origin,
-    provenance: String,
-    points_in: u64,
-    /// What its sender should know about how it was read.
-    warnings: Vec<String>,
+    about: About,
+}
+
+/// A cloud that the engine can take.
+pub(super) struct Prepared {
+    pub(super) request: Request,
+    /// Memory that the result will take.
+    pub(super) room: u64,
+    pub(super) format: Format,
+    pub(super) origin: Origin,
+    pub(super) about: About,
 }
 
 /// Blocking work: parses the body and queues the cloud.
@@ -114,6 +144,25 @@ fn submit(
     parameters: &Parameters,
     wanted: Option<Format>,
 ) -> Result<Submitted, Problem> {
+    let Prepared { request, room, format, origin, about } = prepare(app, &received, parameters, wanted)?;
+    // Its memory, first.
+    drop(received);
+    let held = app.budget.hold(room).ok_or_else(|| app.held_full())?;
+    let job =
+        app.engine.submit(request).map_err(|error| Problem::from_engine(error, app.engine.retry_after()))?;
+    Ok(Submitted { job, held, format, origin, about })
+}
+
+/// Blocking work: parses the body and checks everything that can be checked before the cascade.
+///
+/// # Errors
+/// All that is wrong with the request, and nothing about the server's state.
+pub(super) fn prepare(
+    app: &App,
+    received: &Received,
+    parameters: &Parameters,
+    wanted: Option<Format>,
+) -> Result<Prepared, Problem> {
     let (cloud, input) = received.parse(app)?;
     let points_in = cloud.positions.len() as u64;
     app.check_points(points_in, parameters.points_out(points_in))?;
@@ -136,7 +185,6 @@ fn submit(
     if room > limit {
         return Err(Problem::ResultTooLarge { points, bytes: room, limit });
     }
-    let held = app.budget.hold(room).ok_or_else(|| app.held_full())?;
     let mut settings = Settings::default();
     if let Some(seed) = parameters.seed {
         settings.seed = seed;
@@ -149,9 +197,9 @@ fn submit(
     let request = Request { cloud, target, settings, finish };
     let provenance = provenance::line(&app.config.model.name, &request);
     origin.comments.push(provenance.clone());
-    let job =
-        app.engine.submit(request).map_err(|error| Problem::from_engine(error, app.engine.retry_after()))?;
-    Ok(Submitted { job, held, format, origin, provenance, points_in, warnings })
+    let media_type = format.media_type().to_owned();
+    let about = About { media_type, points_in, points_out: points, provenance, warnings };
+    Ok(Prepared { request, room, format, origin, about })
 }
 
 /// The longest value of a header of ours; names of properties are the client's to choose.
