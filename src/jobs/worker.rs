@@ -149,8 +149,10 @@ struct Running {
 
 /// How often expired jobs are looked for, at least.
 const LOOK: Duration = Duration::from_secs(30);
-/// Before a job that found no room, or a disk that failed, is tried again.
+/// Before a job that found no room is tried again.
 const PAUSE: Duration = Duration::from_millis(500);
+/// Before a database that could not be written is.
+const BROKEN: Duration = Duration::from_secs(5);
 
 /// The time.
 #[must_use]
@@ -331,7 +333,7 @@ impl Jobs {
                 Ok(None) => {}
                 Err(error) => {
                     tracing::error!(%error, "no job can be started");
-                    wait = PAUSE;
+                    wait = BROKEN;
                 }
             }
             running = self.queued.wait_timeout(running, wait).unwrap_or_else(PoisonError::into_inner).0;
@@ -385,8 +387,11 @@ impl Jobs {
     }
 
     fn fail(&self, job: &Record, failure: &Failure) -> Result<bool, StoreError> {
-        tracing::info!(job = job.id, request = job.request_id, ?failure, "job failed");
-        self.store.failed(&job.id, failure, now())
+        self.store.failed(&job.id, failure, now()).inspect(|&failed| {
+            if failed {
+                tracing::info!(job = job.id, request = job.request_id, ?failure, "job failed");
+            }
+        })
     }
 
     /// The database could not be written: the job is put back as soon as that works, or at the next start.
