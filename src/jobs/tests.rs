@@ -3,8 +3,8 @@
 use std::collections::{BTreeMap, HashMap};
 use std::io::{self, Write};
 use std::path::Path;
-use std::sync::Arc;
 use std::sync::mpsc::{Receiver, Sender, channel};
+use std::sync::{Arc, Mutex};
 
 use proptest::prelude::*;
 
@@ -315,7 +315,10 @@ fn a_folder_is_open_once_and_a_later_version_is_not_touched() {
 }
 
 /// Work that says when it is at it, and goes on when told how.
-struct Told(std::sync::Mutex<(Sender<String>, Receiver<Result<(), Stopped>>)>);
+struct Told(Mutex<Wire>);
+
+/// Ids of jobs one way, ends of their work the other.
+type Wire = (Sender<String>, Receiver<Result<(), Stopped>>);
 
 impl Work for Told {
     fn run(
@@ -342,7 +345,7 @@ fn each_end_of_the_work_is_its_jobs_state() {
     let jobs = Arc::new(Jobs::open(settings).expect("a store"));
     let (at, arrived) = channel();
     let (go, going) = channel();
-    let work: Arc<dyn Work> = Arc::new(Told(std::sync::Mutex::new((at, going))));
+    let work: Arc<dyn Work> = Arc::new(Told(Mutex::new((at, going))));
     jobs.start(&work).expect("a thread");
     let mut ids = HashMap::new();
     for name in ["done", "refused", "later", "panic", "disk", "stopped"] {
