@@ -2,7 +2,8 @@
 //!
 //! Data flows one way: bytes -> [`formats`] -> [`cloud`] -> [`cascade`] (which uses
 //! [`geometry`] and a [`backend`]) -> [`formats`] -> bytes. The [`engine`] queues and runs
-//! cascades; [`server`] and [`cli`] are thin edges over it, and [`evaluate`] scores results.
+//! cascades, and [`jobs`] keeps those on disk that should outlive the program; [`server`] and [`cli`] are
+//! thin edges over them, and [`evaluate`] scores results.
 
 pub mod attributes;
 pub mod backend;
@@ -13,6 +14,7 @@ pub mod engine;
 pub mod evaluate;
 pub mod formats;
 pub mod geometry;
+pub mod jobs;
 pub mod provenance;
 pub mod server;
 pub mod survey;

@@ -26,8 +26,13 @@ struct Serving {
 impl Serving {
     /// Starts it on a port that the system chooses, and waits until it is ready.
     fn start() -> Self {
+        Self::start_with(&[])
+    }
+
+    fn start_with(options: &[&str]) -> Self {
         let mut child = densecloud()
             .args(["serve", "--port", "0", "--log-format", "json", "--threads", "1"])
+            .args(options)
             .stderr(Stdio::piped())
             .spawn()
             .expect("the program starts");
@@ -109,6 +114,31 @@ fn the_server_gives_the_command_lines_bytes_and_stops_when_told() {
     }
     serving.signal("TERM");
     assert_eq!(serving.child.wait().expect("an end").code(), Some(0));
+}
+
+#[test]
+fn the_command_line_leaves_a_job_and_fetches_what_upsample_would_have_made() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = |name: &str| folder.path().join(name).to_str().expect("UTF-8").to_owned();
+    std::fs::write(path("in.xyz"), text(300)).expect("a file");
+    let serving = Serving::start_with(&["--data-dir", &path("jobs")]);
+    let server = serving.url("");
+    let job = |arguments: &[&str]| run(&[&["job", "--server", &server], arguments].concat());
+    let submitted = job(&["submit", &path("in.xyz"), "--ratio", "3", "--seed", "5", "--accept", "model/e57"]);
+    let id = String::from_utf8(submitted.stdout).expect("an id").trim().to_owned();
+    let watched = job(&["watch", &id]);
+    assert_eq!((watched.status.code(), watched.stdout.as_slice()), (Some(0), &b"done\n"[..]), "{watched:?}");
+    assert!(String::from_utf8_lossy(&job(&["list"]).stdout).contains(&id));
+    assert!(job(&["get", &id, &path("kept.e57")]).status.success());
+    let made = run(&["upsample", &path("in.xyz"), &path("made.e57"), "--ratio", "3", "--seed", "5"]);
+    assert!(made.status.success(), "{made:?}");
+    let read = |name: &str| std::fs::read(path(name)).expect("a file");
+    assert!(read("kept.e57") == read("made.e57"));
+    assert!(job(&["cancel", &id]).status.success());
+    let gone = job(&["get", &id, &path("gone.e57")]);
+    assert_eq!(gone.status.code(), Some(1));
+    assert!(String::from_utf8_lossy(&gone.stderr).contains("no job"), "{gone:?}");
+    assert!(!folder.path().join("gone.e57").exists());
 }
 
 #[test]

@@ -7,6 +7,7 @@ mod error;
 mod evaluate;
 mod files;
 mod inspect;
+mod job;
 mod render;
 mod sample;
 mod serve;
@@ -31,6 +32,7 @@ enum Command {
     Upsample(upsample::UpsampleArgs),
     Inspect(inspect::InspectArgs),
     Serve(serve::ServeArgs),
+    Job(job::JobArgs),
     Evaluate(evaluate::EvaluateArgs),
     Sample(sample::SampleArgs),
     Render(render::RenderArgs),
@@ -63,5 +65,6 @@ fn run(command: Command) -> Result<(), CliError> {
         Command::Upsample(args) => upsample::run(&args),
         Command::Evaluate(args) => evaluate::run(&args),
         Command::Serve(args) => serve::run(&args),
+        Command::Job(args) => job::run(&args),
     }
 }

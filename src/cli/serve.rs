@@ -1,6 +1,7 @@
 //! `densecloud serve`: the HTTP server.
 
 use std::io::{self, IsTerminal};
+use std::path::PathBuf;
 use std::process::exit;
 use std::time::Duration;
 
@@ -13,6 +14,7 @@ use tracing_subscriber::EnvFilter;
 use super::CliError;
 use super::engine_args::EngineArgs;
 use crate::engine::{Engine, EngineConfig};
+use crate::jobs;
 use crate::server::{self, Config, Limits, ModelInfo, Timeouts};
 
 /// Serve over HTTP: POST a cloud to /upsample, get a denser one back.
@@ -85,6 +87,9 @@ pub(super) struct ServeArgs {
         default_value = "30")]
     drain_timeout: Duration,
 
+    #[command(flatten)]
+    jobs: JobsArgs,
+
     /// What is logged to standard error: error, warn, info, debug, or a filter like `info,hyper=debug`
     #[arg(long, env = "DENSECLOUD_LOG", value_name = "FILTER", default_value = "info")]
     log: String,
@@ -142,8 +147,47 @@ impl ServeArgs {
                 request: self.request_timeout,
                 drain: self.drain_timeout,
             },
+            jobs: self.jobs.settings(),
             model: ModelInfo::default(),
         }
+    }
+}
+
+/// Jobs: work that outlives requests, and the server.
+#[derive(Debug, Args)]
+struct JobsArgs {
+    /// Folder in which jobs are kept; without it there are none
+    #[arg(long, env = "DENSECLOUD_DATA_DIR", value_name = "DIR")]
+    data_dir: Option<PathBuf>,
+
+    /// Jobs that run at a time
+    #[arg(long, env = "DENSECLOUD_JOBS_RUNNING", value_name = "N", default_value_t = 1)]
+    jobs_running: usize,
+
+    /// How long a job is kept when it has come to its end, with its result
+    #[arg(long, env = "DENSECLOUD_JOB_EXPIRY", value_name = "SECONDS", value_parser = seconds,
+        default_value = "86400")]
+    job_expiry: Duration,
+
+    /// Bytes of the disk that all jobs may take: clouds until they are done, results after
+    #[arg(long, env = "DENSECLOUD_JOB_DISK", value_name = "N", default_value_t = 10 << 30)]
+    job_disk: u64,
+
+    /// How often a job is started, when the server ends under it, before it counts as failed
+    #[arg(long, env = "DENSECLOUD_JOB_ATTEMPTS", value_name = "N", default_value_t = 3)]
+    job_attempts: u32,
+}
+
+impl JobsArgs {
+    fn settings(&self) -> Option<jobs::Settings> {
+        let folder = self.data_dir.clone()?;
+        Some(jobs::Settings {
+            folder,
+            running: self.jobs_running,
+            expiry: self.job_expiry,
+            disk: self.job_disk,
+            attempts: self.job_attempts,
+        })
     }
 }
 
@@ -240,6 +284,14 @@ mod tests {
     #[test]
     fn without_arguments_the_settings_are_the_servers_defaults() {
         assert_eq!(parse(&[]).expect("arguments").config(), Config::default());
+    }
+
+    #[test]
+    fn a_folder_turns_jobs_on_with_the_defaults_of_the_library() {
+        let config = parse(&["--data-dir=x"]).expect("arguments").config();
+        assert_eq!(config.jobs, Some(jobs::Settings::new("x".into())));
+        let none = parse(&["--data-dir=x", "--jobs-running=0"]).expect("arguments").config();
+        assert!(none.validate().expect_err("none would run").to_string().contains("--jobs-running"));
     }
 
     #[test]

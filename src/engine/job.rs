@@ -119,7 +119,7 @@ impl Job {
     }
 }
 
-/// Tells how far a job is; keeps nothing running.
+/// Tells how far a job is, and can cancel it; keeps nothing running.
 #[derive(Clone)]
 pub struct ProgressHandle(Arc<Task>);
 
@@ -128,6 +128,12 @@ impl ProgressHandle {
     #[must_use]
     pub fn progress(&self) -> Progress {
         self.0.watch.progress()
+    }
+
+    /// Stops the work within one batch of patches; whoever waits for the job gets
+    /// [`EngineError::Cancelled`].
+    pub fn cancel(&self) {
+        self.0.cancel();
     }
 }
 

@@ -186,6 +186,12 @@ impl Engine {
         self.inner.queue.backlog().max(Duration::from_secs(1))
     }
 
+    /// Points out a second, as measured so far; none before the first measurement.
+    #[must_use]
+    pub fn rate(&self) -> Option<f64> {
+        self.inner.queue.rate()
+    }
+
     /// Where the model runs: `cpu`, for example.
     #[must_use]
     pub fn provider(&self) -> &str {

@@ -113,6 +113,11 @@ impl Queue {
         state.rate = if state.rate == 0.0 { rate } else { 0.8 * state.rate + 0.2 * rate };
     }
 
+    /// Points a second, smoothed.
+    pub(super) fn rate(&self) -> Option<f64> {
+        Some(self.lock().rate).filter(|&rate| rate > 0.0)
+    }
+
     /// Time for what is admitted at the measured rate.
     pub(super) fn backlog(&self) -> Duration {
         let state = self.lock();

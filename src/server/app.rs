@@ -16,8 +16,9 @@ use super::config::Config;
 use super::metrics::Metrics;
 use super::problem::Problem;
 use super::readiness::Readiness;
-use super::{inference, openapi, record, upsample};
+use super::{inference, jobs, jobs_events, jobs_result, openapi, record, upsample};
 use crate::engine::Engine;
+use crate::jobs::Jobs;
 
 /// One server's state.
 pub(super) struct App {
@@ -26,14 +27,17 @@ pub(super) struct App {
     pub(super) metrics: Metrics,
     pub(super) readiness: Readiness,
     pub(super) budget: Budget,
+    /// None where the server has no folder for them.
+    pub(super) jobs: Option<Arc<Jobs>>,
     /// Requests whose response is not over, probes aside. A watch channel, so that a stopping server
     /// can wait for none.
     pub(super) in_flight: watch::Sender<usize>,
 }
 
 impl App {
-    pub(super) fn new(engine: Engine, config: Config) -> Result<Self, BuildError> {
+    pub(super) fn new(engine: Engine, config: Config, jobs: Option<Arc<Jobs>>) -> Result<Self, BuildError> {
         Ok(Self {
+            jobs,
             metrics: Metrics::new(&config.model)?,
             readiness: Readiness::new(),
             budget: Budget::new(config.limits.held_bytes),
@@ -67,6 +71,10 @@ impl App {
 pub(super) fn router(app: Arc<App>) -> Router {
     Router::new()
         .route("/upsample", post(upsample::upsample))
+        .route("/jobs", get(jobs::list).post(jobs::submit))
+        .route("/jobs/{id}", get(jobs::get).delete(jobs::delete))
+        .route("/jobs/{id}/result", get(jobs_result::result))
+        .route("/jobs/{id}/events", get(jobs_events::events))
         .route("/healthz", get(healthz))
         .route("/readyz", get(readyz))
         .route("/metrics", get(metrics))
@@ -90,6 +98,10 @@ async fn readyz(State(app): State<Arc<App>>) -> Result<&'static str, Problem> {
 }
 
 async fn metrics(State(app): State<Arc<App>>) -> impl IntoResponse {
+    // Figures that cannot be had are last time's; the log will be full of the reason.
+    if let Ok(counts) = jobs::ask(&app, |jobs| Ok(jobs.store().counts()?)).await {
+        app.metrics.jobs(&counts);
+    }
     let page = app.metrics.render(app.engine.queued_points(), app.budget.used());
     ([(header::CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")], page)
 }

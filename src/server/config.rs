@@ -5,6 +5,7 @@ use std::time::Duration;
 use super::download::result_bytes;
 use crate::backend::ModelName;
 use crate::formats::Format;
+use crate::jobs::Settings;
 
 /// All settings of a server. [`Config::default`] suits one machine behind a reverse proxy.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -13,6 +14,8 @@ pub struct Config {
     pub limits: Limits,
     /// How long.
     pub timeouts: Timeouts,
+    /// Whether and how jobs are kept; none without a folder (`--data-dir`).
+    pub jobs: Option<Settings>,
     /// Which model answers, for `/metrics`.
     pub model: ModelInfo,
 }
@@ -96,6 +99,8 @@ impl Config {
             ("--head-timeout", head.is_zero()),
             ("--stall-timeout", stall.is_zero()),
             ("--request-timeout", request.is_zero()),
+            ("--jobs-running", self.jobs.as_ref().is_some_and(|jobs| jobs.running == 0)),
+            ("--job-attempts", self.jobs.as_ref().is_some_and(|jobs| jobs.attempts == 0)),
         ] {
             if zero {
                 return Err(ConfigError::Zero { setting });

@@ -9,6 +9,7 @@ use metrics::{Counter, Gauge, Histogram, Key, Label, Level, Metadata, Recorder, 
 use metrics_exporter_prometheus::{BuildError, PrometheusBuilder, PrometheusHandle, PrometheusRecorder};
 
 use super::config::ModelInfo;
+use crate::jobs::State;
 
 /// The figures of one server. All names, in one place.
 pub(super) struct Metrics {
@@ -30,6 +31,7 @@ const POINTS_OUT: &str = "densecloud_points_out_total";
 const IN_FLIGHT: &str = "densecloud_requests_in_flight";
 const QUEUE: &str = "densecloud_queue_points";
 const HELD: &str = "densecloud_held_bytes";
+const JOBS: &str = "densecloud_jobs";
 const MODEL: &str = "densecloud_model_info";
 
 /// From a small cloud's milliseconds to a large one's ten minutes.
@@ -65,6 +67,7 @@ impl Metrics {
             (IN_FLIGHT, None, "Requests whose response is not over"),
             (QUEUE, None, "Points queued or being worked on"),
             (HELD, Some(Unit::Bytes), "Uploads not yet parsed and results not yet sent"),
+            (JOBS, None, "Jobs that are kept, by state"),
             (MODEL, None, "The model that answers; always 1"),
         ] {
             recorder.describe_gauge(name.into(), unit, text.into());
@@ -119,6 +122,14 @@ impl Metrics {
         self.queue_points.set(queue_points as f64);
         self.held_bytes.set(held_bytes as f64);
         self.handle.render()
+    }
+
+    /// How many jobs are kept in each state.
+    pub(super) fn jobs(&self, counts: &[(State, u64)]) {
+        for (state, count) in counts {
+            let key = Key::from_parts(JOBS, vec![Label::from_static_parts("state", state.name())]);
+            self.recorder.register_gauge(&key, &METADATA).set(*count as f64);
+        }
     }
 
     /// Folds recorded durations into their buckets; without it they pile up until the next
@@ -187,10 +198,11 @@ mod tests {
         let metrics = Metrics::new(&ModelInfo::default()).expect("metrics");
         metrics.ended("ok", Duration::ZERO);
         metrics.stage("units", Duration::ZERO);
+        metrics.jobs(&[(State::Queued, 1)]);
         let page = metrics.render(0, 0);
         let names: Vec<_> =
             page.lines().filter_map(|line| line.strip_prefix("# TYPE ")?.split(' ').next()).collect();
-        assert_eq!(names.len(), 9, "{names:?}");
+        assert_eq!(names.len(), 10, "{names:?}");
         for name in names {
             assert!(manual.contains(&format!("`{name}`")), "{name} is not in the manual");
         }

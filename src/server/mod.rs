@@ -1,5 +1,5 @@
-//! The HTTP interface: `POST /upsample` over the [`engine`](crate::engine), and what operators need
-//! around it (`/healthz`, `/readyz`, `/metrics`).
+//! The HTTP interface: `POST /upsample` over the [`engine`](crate::engine), `/jobs` over
+//! [`jobs`](crate::jobs), and what operators need around it (`/healthz`, `/readyz`, `/metrics`).
 //!
 //! | file | holds |
 //! |---|---|
@@ -9,6 +9,8 @@
 //! | `record` | around each request: id, log, metrics |
 //! | `upsample` | the handler, from body to body |
 //! | `inference` | the same work as tensors in JSON or binary: the Open Inference Protocol |
+//! | `jobs`, `jobs_document`, `jobs_result`, `jobs_events` | jobs: taking, telling, sending, watching |
+//! | `jobs_work` | what a job is about, for the threads that run it |
 //! | `query`, `upload`, `decode`, `download` | its parts: parameters, the body in, what compresses it, the body out |
 //! | `problem` | every failure, its status and its words: the one table |
 //! | `openapi` | the interface described, for programs and for people |
@@ -27,6 +29,11 @@ mod config;
 mod decode;
 mod download;
 mod inference;
+mod jobs;
+mod jobs_document;
+mod jobs_events;
+mod jobs_result;
+mod jobs_work;
 mod metrics;
 mod openapi;
 mod problem;
@@ -48,6 +55,7 @@ use tokio::time::{Instant, interval, timeout_at};
 pub use config::{Config, ConfigError, Limits, ModelInfo, Timeouts};
 
 use crate::engine::{Engine, EngineError};
+use crate::jobs::{Jobs, StoreError};
 use app::App;
 
 /// Why a server did not start, or ended by itself.
@@ -59,6 +67,14 @@ pub enum ServeError {
     /// The model did not run.
     #[error("the model failed its warm-up: {0}")]
     WarmUp(EngineError),
+    /// The folder of the jobs cannot be used.
+    #[error("--data-dir {folder}: {why}")]
+    Jobs {
+        /// The folder.
+        folder: String,
+        /// What is wrong with it.
+        why: StoreError,
+    },
     /// A part of the server broke; a bug.
     #[error("internal error: {0}")]
     Internal(String),
@@ -84,13 +100,17 @@ pub async fn run(
 ) -> Result<(), ServeError> {
     config.validate()?;
     let internal = |error: &dyn std::fmt::Display| ServeError::Internal(error.to_string());
-    let app = Arc::new(App::new(engine.clone(), config.clone()).map_err(|e| internal(&e))?);
+    let jobs = open_jobs(&config)?;
+    let app = Arc::new(App::new(engine.clone(), config.clone(), jobs).map_err(|e| internal(&e))?);
     let warm_up = async {
         let start = Instant::now();
         match spawn_blocking(move || engine.warm_up()).await {
             Ok(Ok(())) => {
                 tracing::info!(seconds = start.elapsed().as_secs_f64(), "ready");
                 app.readiness.ready();
+                if let Err(error) = jobs_work::start(&app) {
+                    return internal(&error);
+                }
                 // The server goes on; only a failure ends it from here.
                 std::future::pending().await
             }
@@ -111,7 +131,10 @@ pub async fn run(
         tokio::join!(accept::accept(listener, router, &config, closing), drain(&app, shutdown, &close))
     };
     tokio::select! {
-        (connections, deadline) = serve => end(connections, deadline).await,
+        (connections, deadline) = serve => {
+            end(connections, deadline).await;
+            join_jobs(&app, deadline).await;
+        }
         error = warm_up => return Err(error),
         () = fold => {}
     }
@@ -119,11 +142,36 @@ pub async fn run(
     Ok(())
 }
 
+/// Opens the store; blocks for moments, before anything is served.
+fn open_jobs(config: &Config) -> Result<Option<Arc<Jobs>>, ServeError> {
+    let Some(settings) = &config.jobs else { return Ok(None) };
+    match Jobs::open(settings.clone()) {
+        Ok(jobs) => Ok(Some(Arc::new(jobs))),
+        Err(why) => Err(ServeError::Jobs { folder: settings.folder.display().to_string(), why }),
+    }
+}
+
+/// Puts running jobs back, so that the next start finds them queued.
+async fn stop_jobs(app: &App) {
+    if let Some(jobs) = app.jobs.clone() {
+        // Only a panic could come back, and that is in the log.
+        let _ = spawn_blocking(move || jobs.stop()).await;
+    }
+}
+
+/// Lets the threads of jobs see that nobody waits for them.
+async fn join_jobs(app: &App, deadline: Instant) {
+    if let Some(jobs) = app.jobs.clone() {
+        let _ = timeout_at(deadline, spawn_blocking(move || jobs.join())).await;
+    }
+}
+
 /// Waits for `shutdown`, then for the requests in flight, then closes; gives the deadline of all
 /// that.
 async fn drain(app: &App, shutdown: impl Future<Output = ()>, close: &watch::Sender<bool>) -> Instant {
     shutdown.await;
     app.readiness.drain();
+    stop_jobs(app).await;
     let mut in_flight = app.in_flight.subscribe();
     tracing::info!(in_flight = *in_flight.borrow(), "draining");
     let deadline = Instant::now() + app.config.timeouts.drain;

@@ -148,6 +148,52 @@ pub(super) enum Problem {
         /// How long a request may take.
         limit: Duration,
     },
+    /// Nothing is kept here.
+    #[error("this server keeps no jobs; --data-dir gives it a folder for them")]
+    JobsOff,
+    /// Never was, is forgotten, or has expired.
+    #[error("there is no job {0}")]
+    NoJob(String),
+    /// The result of a job that has none, or none yet.
+    #[error("the job is {state}; only one that is done has a result")]
+    JobNotDone {
+        /// Where it is.
+        state: &'static str,
+    },
+    /// An idempotency key that names another request.
+    #[error("this Idempotency-Key came with another request before; give each request its own")]
+    KeyReused,
+    /// A part of a result that is not there.
+    #[error("the result has {length} bytes; the range begins after them")]
+    Range {
+        /// Its bytes.
+        length: u64,
+    },
+    /// Jobs take all of the disk that they may.
+    #[error(
+        "jobs take {used} bytes of the disk and this one would take {wanted} more, above {limit}; --job-disk \
+         lifts this limit, and so does deleting jobs"
+    )]
+    JobDisk {
+        /// What they take.
+        used: u64,
+        /// What this one would add: its cloud, and its result as a guess.
+        wanted: u64,
+        /// What they may take.
+        limit: u64,
+    },
+    /// The disk is full.
+    #[error("the disk is full: {0}; make room there, or give --data-dir a folder elsewhere")]
+    DiskFull(String),
+    /// A job under which the program ended again and again.
+    #[error(
+        "the server ended {attempts} times while it worked on this job, and will not try again; \
+         --job-attempts lifts this limit"
+    )]
+    GaveUp {
+        /// How often it was started.
+        attempts: u32,
+    },
     /// A failure of the server's own.
     #[error("the server failed; its log tells more under this request's id")]
     Internal(
@@ -296,6 +342,30 @@ impl Problem {
             Self::Deadline { .. } => {
                 (S::GATEWAY_TIMEOUT, "deadline", "It took too long", Some("--request-timeout"))
             }
+            Self::JobsOff => (S::NOT_IMPLEMENTED, "jobs-off", "No jobs are kept here", Some("--data-dir")),
+            Self::NoJob(_) => (S::NOT_FOUND, "no-such-job", "No such job", None),
+            Self::JobNotDone { .. } => (S::CONFLICT, "job-not-done", "The job is not done", None),
+            Self::KeyReused => {
+                (S::UNPROCESSABLE_ENTITY, "idempotency-key-reused", "The key is another request's", None)
+            }
+            Self::Range { .. } => {
+                (S::RANGE_NOT_SATISFIABLE, "range-not-satisfiable", "No such part of the result", None)
+            }
+            Self::JobDisk { .. } => (
+                S::INSUFFICIENT_STORAGE,
+                "job-disk-full",
+                "Jobs take all the disk they may",
+                Some("--job-disk"),
+            ),
+            Self::DiskFull(_) => {
+                (S::INSUFFICIENT_STORAGE, "disk-full", "The disk is full", Some("--data-dir"))
+            }
+            Self::GaveUp { .. } => (
+                S::INTERNAL_SERVER_ERROR,
+                "job-gave-up",
+                "The job was interrupted too often",
+                Some("--job-attempts"),
+            ),
             Self::Internal(_) => (S::INTERNAL_SERVER_ERROR, "internal", "The server failed", None),
         };
         Row { status, name, title, setting }
@@ -310,7 +380,9 @@ impl Problem {
             | Self::TooManyPointsOut { limit, .. }
             | Self::ResultTooLarge { limit, .. }
             | Self::QueueFull { limit, .. }
+            | Self::JobDisk { limit, .. }
             | Self::HeldFull { limit, .. } => Some((*limit).into()),
+            Self::GaveUp { attempts } => Some((*attempts).into()),
             Self::UploadStalled { limit } | Self::Deadline { limit } => seconds(limit),
             _ => None,
         }
@@ -327,8 +399,21 @@ impl Problem {
     /// The body, as JSON. A separate step from [`IntoResponse`], because only the outermost layer
     /// knows the request's id.
     pub(super) fn body(&self, request_id: &str) -> Body {
+        // Strings and numbers only: there is nothing that JSON could not hold.
+        let mut text = serde_json::to_vec(&self.document(request_id)).unwrap_or_default();
+        // For people at a terminal.
+        text.push(b'\n');
+        Body::from(text)
+    }
+
+    /// The same, to be part of another document.
+    pub(super) fn value(&self, request_id: &str) -> serde_json::Value {
+        serde_json::to_value(self.document(request_id)).unwrap_or_default()
+    }
+
+    fn document<'a>(&'a self, request_id: &'a str) -> Document<'a> {
         let Row { status, name, title, setting } = self.row();
-        let document = Document {
+        Document {
             kind: format!("urn:densecloud:problem:{name}"),
             title,
             status: status.as_u16(),
@@ -340,12 +425,7 @@ impl Problem {
             limit: self.limit(),
             setting,
             request_id,
-        };
-        // Strings and numbers only: there is nothing that JSON could not hold.
-        let mut text = serde_json::to_vec(&document).unwrap_or_default();
-        // For people at a terminal.
-        text.push(b'\n');
-        Body::from(text)
+        }
     }
 }
 
@@ -387,6 +467,11 @@ impl IntoResponse for Problem {
             // RFC 9110, section 15.5.16: says what would have been accepted.
             headers.insert(header::ACCEPT_ENCODING, HeaderValue::from_static(Coding::ACCEPTED));
         }
+        if let Self::Range { length } = self {
+            // RFC 9110, section 15.5.17: says what there is.
+            let there = HeaderValue::from_str(&format!("bytes */{length}"));
+            headers.insert(header::CONTENT_RANGE, there.unwrap_or(HeaderValue::from_static("bytes */*")));
+        }
         response.extensions_mut().insert(self);
         response
     }
@@ -418,6 +503,14 @@ pub(super) fn every_problem() -> Vec<(Problem, u16, &'static str)> {
         (Problem::QueueFull { wanted: 1, queued: 5, limit: 5, retry_after: second }, 503, "queue-full"),
         (Problem::HeldFull { used: 4, limit: 5 }, 503, "memory-full"),
         (Problem::Deadline { limit: second }, 504, "deadline"),
+        (Problem::JobsOff, 501, "jobs-off"),
+        (Problem::NoJob("x".into()), 404, "no-such-job"),
+        (Problem::JobNotDone { state: "queued" }, 409, "job-not-done"),
+        (Problem::KeyReused, 422, "idempotency-key-reused"),
+        (Problem::Range { length: 5 }, 416, "range-not-satisfiable"),
+        (Problem::JobDisk { used: 5, wanted: 1, limit: 5 }, 507, "job-disk-full"),
+        (Problem::DiskFull("x".into()), 507, "disk-full"),
+        (Problem::GaveUp { attempts: 3 }, 500, "job-gave-up"),
         (Problem::Internal("secret".into()), 500, "internal"),
     ]
 }

@@ -29,8 +29,9 @@ pub(super) struct Points {
 
 /// The outermost layer. The record it keeps ends with the response's last byte, not its first, and
 /// also where the client leaves in between: it is dropped with the handler or with the body.
-pub(super) async fn record(State(app): State<Arc<App>>, request: Request, next: Next) -> Response {
+pub(super) async fn record(State(app): State<Arc<App>>, mut request: Request, next: Next) -> Response {
     let id = RequestId::of(request.headers());
+    request.extensions_mut().insert(id.clone());
     let connection = request.extensions().get::<Connection>().cloned();
     let peer = connection.as_ref().map(|c| c.peer);
     let span = tracing::info_span!(

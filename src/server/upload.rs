@@ -149,11 +149,21 @@ impl Received {
         &self.bytes
     }
 
+    /// A body that arrived earlier.
+    pub(super) fn kept(bytes: Vec<u8>, held: Held) -> Self {
+        Self { bytes, _held: held, took: Duration::ZERO }
+    }
+
+    /// The body as it arrived, and its share of the memory.
+    pub(super) fn into_parts(self) -> (Vec<u8>, Held) {
+        (self.bytes, self._held)
+    }
+
     /// Reads the cloud, and the format it came in. Blocking work: O(bytes).
     ///
     /// # Errors
     /// What [`CloudReader`] gives, as problems.
-    pub(super) fn parse(self, app: &App) -> Result<(Cloud, Format), Problem> {
+    pub(super) fn parse(&self, app: &App) -> Result<(Cloud, Format), Problem> {
         let reader = CloudReader::open(&self.bytes[..], reader_limits(app))?;
         let format = reader.header().format.written();
         Ok((reader.read()?, format))

@@ -9,6 +9,7 @@ use axum::body::Body;
 use axum::extract::State;
 use axum::http::{HeaderMap, HeaderValue, Uri, header};
 use axum::response::{IntoResponse, Response};
+use serde::{Deserialize, Serialize};
 use tokio::task::spawn_blocking;
 use tokio::time::timeout;
 
@@ -19,10 +20,10 @@ use super::download::{self, Dense, result_bytes};
 use super::problem::Problem;
 use super::query::{self, Parameters};
 use super::record::Points;
-use super::upload::Upload;
+use super::upload::{Received, Upload};
 use crate::cascade::Settings;
 use crate::cloud::{Cloud, Origin, Table, bytes_a_point};
-use crate::engine::{Job, Request};
+use crate::engine::{Job, Outcome, Request};
 use crate::formats::Format;
 use crate::provenance;
 use crate::survey::{self, Survey};
@@ -54,19 +55,16 @@ async fn answer(
     let wanted = accepted(headers)?;
     let received = upload.receive(headers, app, &parameters).await?;
     let took = received.took;
-    let read = move |app: &App| {
-        let (cloud, input) = received.parse(app)?;
-        Ok((Order { cloud, parameters, input, wanted }, ()))
-    };
+    let read = move |app: &App| Ok((Order::read(app, &received, parameters, wanted)?, ()));
     let (done, ()) = run(app, took, read).await?;
-    let length = done.format.encoded_len(done.points.made, &done.dense.attributes, &done.dense.origin);
+    let points = done.points();
+    let length = done.format.encoded_len(points.made, &done.dense.attributes, &done.dense.origin);
     let mut headers = done.headers();
-    headers.insert(header::CONTENT_TYPE, HeaderValue::from_static(done.format.media_type()));
     if let Some(length) = length {
         headers.insert(header::CONTENT_LENGTH, length.into());
     }
     let body = download::body(done.dense, done.format, done.held);
-    Ok((headers, Extension(done.points), body).into_response())
+    Ok((headers, Extension(points), body).into_response())
 }
 
 /// A cloud, and what is wanted of it.
@@ -79,14 +77,25 @@ pub(super) struct Order {
     pub(super) wanted: Option<Format>,
 }
 
+impl Order {
+    /// Blocking work: parses the body.
+    pub(super) fn read(
+        app: &App,
+        received: &Received,
+        parameters: Parameters,
+        wanted: Option<Format>,
+    ) -> Result<Self, Problem> {
+        let (cloud, input) = received.parse(app)?;
+        Ok(Self { cloud, parameters, input, wanted })
+    }
+}
+
 /// A finished result, and what its receiver is told beside it.
 pub(super) struct Done {
     pub(super) dense: Dense,
     pub(super) held: Held,
     pub(super) format: Format,
-    pub(super) points: Points,
-    pub(super) provenance: String,
-    pub(super) warnings: Vec<String>,
+    pub(super) about: About,
     timing: Timing,
 }
 
@@ -94,14 +103,13 @@ impl Done {
     /// The headers that every result has.
     pub(super) fn headers(&self) -> HeaderMap {
         let mut headers = HeaderMap::new();
-        headers.insert("densecloud-points-in", self.points.read.into());
-        headers.insert("densecloud-points-out", self.points.made.into());
-        headers.insert("densecloud-provenance", visible(&self.provenance));
+        self.about.tell(&mut headers);
         headers.insert("server-timing", visible(&self.timing.0));
-        for warning in &self.warnings {
-            headers.append("densecloud-warning", visible(warning));
-        }
         headers
+    }
+
+    pub(super) fn points(&self) -> Points {
+        Points { read: self.about.points_in, made: self.about.points_out }
     }
 }
 
@@ -125,21 +133,49 @@ pub(super) async fn run<T: Send + 'static>(
     let (submitted, rest) = submit.await.map_err(|error| Problem::Internal(error.to_string()))??;
     timing.add(app, "parse", start.elapsed());
     let start = Instant::now();
-    let Submitted { job, held, format, origin, provenance, points_in, mut warnings } = submitted;
+    let Submitted { job, held, format, origin, mut about } = submitted;
     let outcome = job.await.map_err(|error| Problem::from_engine(error, app.engine.retry_after()))?;
-    warnings.extend(outcome.warnings());
+    about.complete(&outcome, format, &origin);
     timing.add(app, "queue", start.elapsed().saturating_sub(outcome.stages.total()));
     for (stage, took) in outcome.stages.iter() {
         timing.add(app, stage.name(), took);
     }
-    let points = Points { read: points_in, made: outcome.positions.len() as u64 };
-    app.metrics.points(points.read, points.made);
-    let lost = format.cannot_hold(&outcome.attributes, &origin);
-    if !lost.is_empty() {
-        warnings.push(format!("the result's format has no place for {}", lost.join(", ")));
-    }
+    app.metrics.points(about.points_in, about.points_out);
     let dense = Dense { positions: outcome.positions, attributes: outcome.attributes, origin };
-    Ok((Done { dense, held, format, points, provenance, warnings, timing }, rest))
+    Ok((Done { dense, held, format, about, timing }, rest))
+}
+
+/// What the headers of an answer tell of a result.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub(super) struct About {
+    pub(super) media_type: String,
+    pub(super) points_in: u64,
+    pub(super) points_out: u64,
+    pub(super) provenance: String,
+    /// What its sender should know about how the cloud was read and made dense.
+    pub(super) warnings: Vec<String>,
+}
+
+impl About {
+    /// Adds what is known once the result is there.
+    pub(super) fn complete(&mut self, outcome: &Outcome, format: Format, origin: &Origin) {
+        self.points_out = outcome.positions.len() as u64;
+        self.warnings.extend(outcome.warnings());
+        let lost = format.cannot_hold(&outcome.attributes, origin);
+        if !lost.is_empty() {
+            self.warnings.push(format!("the result's format has no place for {}", lost.join(", ")));
+        }
+    }
+
+    pub(super) fn tell(&self, headers: &mut HeaderMap) {
+        headers.insert(header::CONTENT_TYPE, visible(&self.media_type));
+        headers.insert("densecloud-points-in", self.points_in.into());
+        headers.insert("densecloud-points-out", self.points_out.into());
+        headers.insert("densecloud-provenance", visible(&self.provenance));
+        for warning in &self.warnings {
+            headers.append("densecloud-warning", visible(warning));
+        }
+    }
 }
 
 /// A cloud that the engine has taken.
@@ -149,14 +185,33 @@ struct Submitted {
     held: Held,
     format: Format,
     origin: Origin,
-    provenance: String,
-    points_in: u64,
-    /// What its sender should know about how it was read.
-    warnings: Vec<String>,
+    about: About,
+}
+
+/// A cloud that the engine can take.
+pub(super) struct Prepared {
+    pub(super) request: Request,
+    /// Memory that the result will take.
+    pub(super) room: u64,
+    pub(super) format: Format,
+    pub(super) origin: Origin,
+    pub(super) about: About,
 }
 
 /// Blocking work: checks and queues the cloud.
 fn submit(app: &App, order: Order) -> Result<Submitted, Problem> {
+    let Prepared { request, room, format, origin, about } = prepare(app, order)?;
+    let held = app.budget.hold(room).ok_or_else(|| app.held_full())?;
+    let job =
+        app.engine.submit(request).map_err(|error| Problem::from_engine(error, app.engine.retry_after()))?;
+    Ok(Submitted { job, held, format, origin, about })
+}
+
+/// Blocking work: checks everything that can be checked before the cascade.
+///
+/// # Errors
+/// All that is wrong with the request, and nothing about the server's state.
+pub(super) fn prepare(app: &App, order: Order) -> Result<Prepared, Problem> {
     let Order { cloud, parameters, input, wanted } = order;
     let points_in = cloud.positions.len() as u64;
     app.check_points(points_in, parameters.points_out(points_in))?;
@@ -179,7 +234,6 @@ fn submit(app: &App, order: Order) -> Result<Submitted, Problem> {
     if room > limit {
         return Err(Problem::ResultTooLarge { points, bytes: room, limit });
     }
-    let held = app.budget.hold(room).ok_or_else(|| app.held_full())?;
     let mut settings = Settings::default();
     if let Some(seed) = parameters.seed {
         settings.seed = seed;
@@ -192,9 +246,9 @@ fn submit(app: &App, order: Order) -> Result<Submitted, Problem> {
     let request = Request { cloud, target, settings, finish };
     let provenance = provenance::line(&app.config.model.name, &request);
     origin.comments.push(provenance.clone());
-    let job =
-        app.engine.submit(request).map_err(|error| Problem::from_engine(error, app.engine.retry_after()))?;
-    Ok(Submitted { job, held, format, origin, provenance, points_in, warnings })
+    let media_type = format.media_type().to_owned();
+    let about = About { media_type, points_in, points_out: points, provenance, warnings };
+    Ok(Prepared { request, room, format, origin, about })
 }
 
 /// The longest value of a header of ours; names of properties are the client's to choose.

@@ -4,6 +4,7 @@
 
 mod answers;
 mod inference;
+mod jobs;
 mod lifecycle;
 mod misbehaviour;
 mod refusals;

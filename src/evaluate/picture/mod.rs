@@ -222,8 +222,11 @@ struct Spacing {
     out: [f32; 3],
 }
 
+/// Points and their colours.
+type Local = (Vec<Point>, Vec<Rgb>);
+
 /// All clouds in one local frame, with their colours, without strays.
-fn local(clouds: &[Subject<'_>]) -> Result<Vec<(Vec<Point>, Vec<Rgb>)>, PictureError> {
+fn local(clouds: &[Subject<'_>]) -> Result<Vec<Local>, PictureError> {
     let finite = |p: &&Position| p.iter().all(|c| c.is_finite());
     let all: Vec<Position> = clouds.iter().flat_map(|c| c.positions.iter().filter(finite).copied()).collect();
     let ranges: [(f64, f64); 3] =

@@ -13,7 +13,7 @@ use std::sync::Arc;
 
 use axum::body::Body;
 use axum::extract::{Path, State};
-use axum::http::{HeaderMap, HeaderName, Uri};
+use axum::http::{HeaderMap, HeaderName, Uri, header};
 use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post};
 use axum::{Extension, Json, Router};
@@ -145,10 +145,11 @@ async fn answer(app: &Arc<App>, headers: &HeaderMap, upload: &mut Upload) -> Res
     let (mut done, reply) = upsample::run(app, took, read).await?;
     if done.format != (Format::Npy { scalar: reply.datatype.scalar(), fields: false }) {
         let why = "FP32 is too coarse for these coordinates and this many points; send FP64";
-        done.warnings.push(why.into());
+        done.about.warnings.push(why.into());
     }
-    let headers = done.headers();
-    let points = done.points;
+    let (mut headers, points) = (done.headers(), done.points());
+    // That of the answer itself.
+    headers.remove(header::CONTENT_TYPE);
     Ok((headers, Extension(points), reply.response(done)?).into_response())
 }
 

@@ -63,17 +63,17 @@ const END: &str = "}]}";
 impl Reply {
     /// The answer with this result.
     pub(super) fn response(&self, done: Done) -> Result<Response, Problem> {
-        let Done { dense, held, points, provenance, warnings, .. } = done;
-        let bytes = points.made * 3 * self.datatype.width() as u64;
+        let Done { dense, held, about, .. } = done;
+        let bytes = about.points_out * 3 * self.datatype.width() as u64;
         let document = Document {
             id: self.id.as_deref(),
             model_name: MODEL,
             model_version: VERSION,
-            parameters: Told { provenance: &provenance, warnings: warnings.join("; ") },
+            parameters: Told { provenance: &about.provenance, warnings: about.warnings.join("; ") },
             outputs: [Output {
                 name: TENSOR,
                 datatype: self.datatype.name(),
-                shape: [points.made, 3],
+                shape: [about.points_out, 3],
                 parameters: self.binary.then_some(Size { binary_data_size: bytes }),
             }],
         };

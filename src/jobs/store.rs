@@ -1,0 +1,550 @@
+//! The jobs on disk: a database with a row a job, and files beside it.
+//!
+//! A file is on the disk before the row that promises it, and a row is gone before its files are. So
+//! whenever the program ends, what the database says is true, and files that it does not name are
+//! leftovers, which the next start removes.
+
+use std::collections::HashSet;
+use std::ffi::OsString;
+use std::fs::{self, File, TryLockError};
+use std::io::{self, Write};
+use std::path::Path;
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use rusqlite::{Connection, ErrorCode, OptionalExtension, Row, params};
+use sha2::{Digest, Sha256};
+
+use super::files::{self, Files};
+use super::record::{Failure, NewJob, Record, ResultFile, State, Time};
+use crate::provenance::hexadecimal;
+
+/// Jobs that outlive the program.
+#[derive(Debug)]
+pub struct Store {
+    // A mutex: SQLite takes one writer at a time anyway, and each statement takes microseconds, or one
+    // wait for the disk.
+    connection: Mutex<Connection>,
+    files: Files,
+    /// Bytes that all jobs may take.
+    disk: u64,
+    // Held while the store is open: two programs would run the same jobs.
+    _lock: File,
+}
+
+/// What became of a request for a job.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Submitted {
+    /// A job that was not there before.
+    New(Record),
+    /// The job that the same request made earlier.
+    Known(Record),
+}
+
+/// Why the store does not do what it is asked for.
+#[derive(Debug, thiserror::Error)]
+pub enum StoreError {
+    /// The jobs would take more of the disk than they may.
+    #[error("jobs take {used} bytes of the disk and this one would take {wanted} more, above {limit}")]
+    OverBudget {
+        /// What all jobs take.
+        used: u64,
+        /// What this one would take.
+        wanted: u64,
+        /// What they may take.
+        limit: u64,
+    },
+    /// The key belongs to another request.
+    #[error("the key belongs to another request")]
+    OtherRequest,
+    /// Another program has the folder open.
+    #[error("another densecloud has this folder open")]
+    Locked,
+    /// Another version of the program made the database.
+    #[error("the database has version {0}, not {VERSION}")]
+    Version(i64),
+    /// Reading or writing a file failed.
+    #[error(transparent)]
+    Io(#[from] io::Error),
+    /// Reading or writing the database failed.
+    #[error("the database: {0}")]
+    Database(#[from] rusqlite::Error),
+}
+
+impl StoreError {
+    /// Whether there is no room on the disk.
+    #[must_use]
+    pub fn is_full(&self) -> bool {
+        match self {
+            Self::Io(error) => {
+                matches!(error.kind(), io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded)
+            }
+            Self::Database(error) => error.sqlite_error_code() == Some(ErrorCode::DiskFull),
+            _ => false,
+        }
+    }
+}
+
+const VERSION: i64 = 1;
+
+const SCHEMA: &str = "
+    CREATE TABLE jobs (
+        number INTEGER PRIMARY KEY AUTOINCREMENT,
+        id TEXT NOT NULL UNIQUE,
+        state TEXT NOT NULL,
+        request TEXT NOT NULL,
+        key TEXT UNIQUE,
+        fingerprint TEXT NOT NULL,
+        request_id TEXT NOT NULL,
+        points_in INTEGER NOT NULL,
+        points_out INTEGER NOT NULL,
+        bytes INTEGER NOT NULL,
+        attempts INTEGER NOT NULL DEFAULT 0,
+        created INTEGER NOT NULL,
+        started INTEGER,
+        finished INTEGER,
+        result TEXT,
+        failure TEXT
+    ) STRICT;
+    CREATE INDEX jobs_by_state ON jobs (state, number);
+    CREATE INDEX jobs_by_end ON jobs (finished);
+    PRAGMA user_version = 1;";
+
+const COLUMNS: &str = "number, id, state, request, request_id, points_in, points_out, attempts, created, \
+                       started, finished, result, failure";
+
+/// How long a statement waits for a program that only looks at the database.
+const BUSY: Duration = Duration::from_secs(5);
+
+impl Store {
+    /// Opens the folder, made where it is missing, for jobs that together may take `disk` bytes. Jobs that
+    /// were running are queued again, those that were started `attempts` times already fail, and leftovers
+    /// of files are removed.
+    ///
+    /// # Errors
+    /// [`StoreError::Locked`], [`StoreError::Version`], or what the disk says.
+    pub fn open(folder: &Path, disk: u64, attempts: u32, now: Time) -> Result<Self, StoreError> {
+        let files = Files::open(folder.join("files"))?;
+        let lock = File::create(folder.join("lock"))?;
+        lock.try_lock().map_err(|error| match error {
+            TryLockError::WouldBlock => StoreError::Locked,
+            TryLockError::Error(error) => error.into(),
+        })?;
+        let mut connection = Connection::open(folder.join("jobs.sqlite"))?;
+        connection.busy_timeout(BUSY)?;
+        connection.pragma_update(None, "journal_mode", "WAL")?;
+        // A job that was accepted is on the disk, whatever happens next.
+        connection.pragma_update(None, "synchronous", "FULL")?;
+        let transaction = connection.transaction()?;
+        match transaction.query_row("PRAGMA user_version", [], |row| row.get(0))? {
+            0 => transaction.execute_batch(SCHEMA)?,
+            VERSION => {}
+            other => return Err(StoreError::Version(other)),
+        }
+        transaction.commit()?;
+        let store = Self { connection: Mutex::new(connection), files, disk, _lock: lock };
+        store.recover(attempts, now)?;
+        Ok(store)
+    }
+
+    fn recover(&self, attempts: u32, now: Time) -> Result<(), StoreError> {
+        let database = self.database();
+        let running = select(&database, "WHERE state = 'running'", [])?;
+        for Record { id, attempts: made, .. } in running {
+            if made < attempts {
+                database.execute("UPDATE jobs SET state = 'queued' WHERE id = ?", [&id])?;
+            } else {
+                let failure = json(&Failure::GaveUp { attempts: made });
+                database.execute(
+                    "UPDATE jobs SET state = 'failed', finished = ?, failure = ?, bytes = 0 WHERE id = ?",
+                    params![now, failure, id],
+                )?;
+            }
+            tracing::warn!(job = id, attempts = made, again = made < attempts, "job was interrupted");
+        }
+        let kept: HashSet<OsString> = select(&database, "WHERE state IN ('queued', 'done')", [])?
+            .iter()
+            .filter_map(|job| self.file(job)?.file_name().map(OsString::from))
+            .collect();
+        let removed = self.files.keep(&kept)?;
+        if removed > 0 {
+            tracing::info!(removed, "removed leftovers of jobs");
+        }
+        Ok(())
+    }
+
+    /// The file that a job's state promises.
+    fn file(&self, job: &Record) -> Option<std::path::PathBuf> {
+        match job.state {
+            State::Queued | State::Running => Some(self.files.input(&job.id)),
+            State::Done => Some(self.files.result(&job.id)),
+            State::Failed | State::Cancelled => None,
+        }
+    }
+
+    /// Nothing panics while it is held, so a poisoned lock is still sound.
+    fn database(&self) -> MutexGuard<'_, Connection> {
+        self.connection.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Keeps a job: when this returns it is on the disk. O(bytes), and a few waits for the disk.
+    ///
+    /// # Errors
+    /// [`StoreError::OverBudget`], [`StoreError::OtherRequest`], or what the disk says; nothing is left
+    /// then.
+    pub fn submit(&self, job: &NewJob, now: Time) -> Result<Submitted, StoreError> {
+        let fingerprint = fingerprint(job);
+        let bytes = (job.input.len() as u64).saturating_add(job.result_bytes);
+        // Before the cloud is written; asked again after, when another may have been quicker.
+        if let Some(known) = self.admit(&self.database(), job, &fingerprint, bytes)? {
+            return Ok(Submitted::Known(known));
+        }
+        let id: String =
+            self.database().query_row("SELECT lower(hex(randomblob(16)))", [], |row| row.get(0))?;
+        let path = self.files.input(&id);
+        self.files.write::<_, io::Error>(&path, |sink| sink.write_all(&job.input))?;
+        let inserted = self.insert(&id, job, &fingerprint, bytes, now);
+        if !matches!(inserted, Ok(Submitted::New(_))) {
+            files::remove(&path)?;
+        }
+        inserted
+    }
+
+    fn insert(
+        &self,
+        id: &str,
+        job: &NewJob,
+        fingerprint: &str,
+        bytes: u64,
+        now: Time,
+    ) -> Result<Submitted, StoreError> {
+        // One lock for question and insertion: no other job comes between.
+        let database = self.database();
+        if let Some(known) = self.admit(&database, job, fingerprint, bytes)? {
+            return Ok(Submitted::Known(known));
+        }
+        database.execute(
+            "INSERT INTO jobs (id, state, request, key, fingerprint, request_id, points_in, points_out, bytes, \
+             created) VALUES (?, 'queued', ?, ?, ?, ?, ?, ?, ?, ?)",
+            params![
+                id,
+                job.request,
+                job.key,
+                fingerprint,
+                job.request_id,
+                integer(job.points_in),
+                integer(job.points_out),
+                integer(bytes),
+                now
+            ],
+        )?;
+        let new = find(&database, id)?.ok_or(rusqlite::Error::QueryReturnedNoRows)?;
+        Ok(Submitted::New(new))
+    }
+
+    /// The job that this request made earlier, or none where there is room for a new one.
+    fn admit(
+        &self,
+        database: &Connection,
+        job: &NewJob,
+        fingerprint: &str,
+        wanted: u64,
+    ) -> Result<Option<Record>, StoreError> {
+        if let Some(key) = &job.key {
+            let known: Option<(String, String)> = database
+                .query_row("SELECT id, fingerprint FROM jobs WHERE key = ?", [key], |row| {
+                    Ok((row.get(0)?, row.get(1)?))
+                })
+                .optional()?;
+            match known {
+                Some((id, same)) if same == fingerprint => return find(database, &id),
+                Some(_) => return Err(StoreError::OtherRequest),
+                None => {}
+            }
+        }
+        let used = used(database)?;
+        if used.saturating_add(wanted) > self.disk {
+            return Err(StoreError::OverBudget { used, wanted, limit: self.disk });
+        }
+        Ok(None)
+    }
+
+    /// A job by its name.
+    ///
+    /// # Errors
+    /// What the database says.
+    pub fn get(&self, id: &str) -> Result<Option<Record>, StoreError> {
+        find(&self.database(), id)
+    }
+
+    /// The newest jobs, at most `limit`, before the one of number `before`.
+    ///
+    /// # Errors
+    /// What the database says.
+    pub fn list(&self, before: Option<i64>, limit: u32) -> Result<Vec<Record>, StoreError> {
+        let before = before.unwrap_or(i64::MAX);
+        select(&self.database(), "WHERE number < ? ORDER BY number DESC LIMIT ?", params![before, limit])
+    }
+
+    /// How many queued jobs are before this one, and their points out.
+    ///
+    /// # Errors
+    /// What the database says.
+    pub fn ahead(&self, job: &Record) -> Result<(u64, u64), StoreError> {
+        let ahead = self.database().query_row(
+            "SELECT count(*), coalesce(sum(points_out), 0) FROM jobs WHERE state = 'queued' AND number < ?",
+            [job.number],
+            |row| Ok((row.get(0).map(natural)?, row.get(1).map(natural)?)),
+        )?;
+        Ok(ahead)
+    }
+
+    /// How many jobs there are in each state.
+    ///
+    /// # Errors
+    /// What the database says.
+    pub fn counts(&self) -> Result<[(State, u64); 5], StoreError> {
+        let database = self.database();
+        let mut counts = State::ALL.map(|state| (state, 0));
+        for (state, count) in &mut counts {
+            let sql = "SELECT count(*) FROM jobs WHERE state = ?";
+            *count = database.query_row(sql, [state.name()], |row| row.get(0).map(natural))?;
+        }
+        Ok(counts)
+    }
+
+    /// Bytes on the disk that jobs take, or will when they are done.
+    ///
+    /// # Errors
+    /// What the database says.
+    pub fn used(&self) -> Result<u64, StoreError> {
+        used(&self.database())
+    }
+
+    /// Starts the job that has waited longest.
+    ///
+    /// # Errors
+    /// What the database says; no job has been started then.
+    pub fn claim(&self, now: Time) -> Result<Option<Record>, StoreError> {
+        let database = self.database();
+        let Some(next) = select(&database, "WHERE state = 'queued' ORDER BY number LIMIT 1", [])?.pop()
+        else {
+            return Ok(None);
+        };
+        database.execute(
+            "UPDATE jobs SET state = 'running', attempts = attempts + 1, started = ? WHERE id = ?",
+            params![now, next.id],
+        )?;
+        find(&database, &next.id)
+    }
+
+    /// Puts a running job back to its place in the queue, as if it had not been started.
+    ///
+    /// # Errors
+    /// What the database says.
+    pub fn put_back(&self, id: &str) -> Result<bool, StoreError> {
+        let put = self.database().execute(
+            "UPDATE jobs SET state = 'queued', attempts = attempts - 1 WHERE id = ? AND state = 'running'",
+            [id],
+        )?;
+        Ok(put > 0)
+    }
+
+    /// The file of a job's cloud.
+    ///
+    /// # Errors
+    /// What the disk says.
+    pub fn input(&self, id: &str) -> io::Result<Vec<u8>> {
+        fs::read(self.files.input(id))
+    }
+
+    /// Writes a job's result with `fill`, which also gives what is to be told of it. Nobody sees the file
+    /// before [`Store::done`].
+    ///
+    /// # Errors
+    /// What `fill` gives, or the disk says; nothing is left then.
+    pub fn write_result<E: From<io::Error>>(
+        &self,
+        id: &str,
+        fill: impl FnOnce(&mut dyn Write) -> Result<String, E>,
+    ) -> Result<ResultFile, E> {
+        self.files.write(&self.files.result(id), |file| {
+            let mut sink = Sink { file, hash: Sha256::new(), bytes: 0 };
+            let about = fill(&mut sink)?;
+            Ok(ResultFile { bytes: sink.bytes, sha256: hexadecimal(&sink.hash.finalize()), about })
+        })
+    }
+
+    /// A running job is done; false, and its result removed, where it does not run any more.
+    ///
+    /// # Errors
+    /// What the disk says; the job still runs then.
+    pub fn done(&self, id: &str, result: &ResultFile, now: Time) -> Result<bool, StoreError> {
+        let done = self.database().execute(
+            "UPDATE jobs SET state = 'done', finished = ?, result = ?, bytes = ? WHERE id = ? AND state = 'running'",
+            params![now, json(result), integer(result.bytes), id],
+        )? > 0;
+        // What is left of a job that was put back is its cloud.
+        if done {
+            files::remove(&self.files.input(id))?;
+        } else {
+            files::remove(&self.files.result(id))?;
+        }
+        Ok(done)
+    }
+
+    /// A running job has failed; false where it does not run any more.
+    ///
+    /// # Errors
+    /// What the disk says.
+    pub fn failed(&self, id: &str, failure: &Failure, now: Time) -> Result<bool, StoreError> {
+        let failed = self.database().execute(
+            "UPDATE jobs SET state = 'failed', finished = ?, failure = ?, bytes = 0 WHERE id = ? AND state = 'running'",
+            params![now, json(failure), id],
+        )? > 0;
+        if failed {
+            files::remove(&self.files.input(id))?;
+        }
+        Ok(failed)
+    }
+
+    /// Cancels a job that is queued or running; false where it is neither.
+    ///
+    /// # Errors
+    /// What the disk says.
+    pub fn cancel(&self, id: &str, now: Time) -> Result<bool, StoreError> {
+        let cancelled = self.database().execute(
+            "UPDATE jobs SET state = 'cancelled', finished = ?, bytes = 0 \
+             WHERE id = ? AND state IN ('queued', 'running')",
+            params![now, id],
+        )? > 0;
+        if cancelled {
+            files::remove(&self.files.input(id))?;
+        }
+        Ok(cancelled)
+    }
+
+    /// Forgets a job in a final state, and its result; false where there is none.
+    ///
+    /// # Errors
+    /// What the disk says.
+    pub fn delete(&self, id: &str) -> Result<bool, StoreError> {
+        let sql = "DELETE FROM jobs WHERE id = ? AND state IN ('done', 'failed', 'cancelled')";
+        let deleted = self.database().execute(sql, [id])? > 0;
+        if deleted {
+            files::remove(&self.files.result(id))?;
+        }
+        Ok(deleted)
+    }
+
+    /// Forgets jobs that came to their end before `time`; says which.
+    ///
+    /// # Errors
+    /// What the disk says.
+    pub fn expire(&self, time: Time) -> Result<Vec<String>, StoreError> {
+        let old = select(&self.database(), "WHERE finished < ?", [time])?;
+        let mut expired = Vec::new();
+        for job in old {
+            if self.delete(&job.id)? {
+                expired.push(job.id);
+            }
+        }
+        Ok(expired)
+    }
+
+    /// Opens the result of a job that is done; none where there is no such job, or it is not done. An open
+    /// file can be read to its end whatever becomes of the job.
+    ///
+    /// # Errors
+    /// What the disk says.
+    pub fn result(&self, id: &str) -> Result<Option<(Record, ResultFile, File)>, StoreError> {
+        // The lock keeps the job from being deleted between its row and its file.
+        let database = self.database();
+        let Some(mut job) = find(&database, id)? else { return Ok(None) };
+        let Some(result) = job.result.take() else { return Ok(None) };
+        let file = File::open(self.files.result(id))?;
+        Ok(Some((job, result, file)))
+    }
+}
+
+/// Writes, counts and hashes.
+struct Sink<'a> {
+    file: &'a mut dyn Write,
+    hash: Sha256,
+    bytes: u64,
+}
+
+impl Write for Sink<'_> {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let count = self.file.write(bytes)?;
+        self.hash.update(&bytes[..count]);
+        self.bytes += count as u64;
+        Ok(count)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.file.flush()
+    }
+}
+
+/// The same for the same request with the same cloud.
+fn fingerprint(job: &NewJob) -> String {
+    let mut hash = Sha256::new();
+    hash.update((job.request.len() as u64).to_le_bytes());
+    hash.update(&job.request);
+    hash.update(&job.input);
+    hexadecimal(&hash.finalize())
+}
+
+fn used(database: &Connection) -> Result<u64, StoreError> {
+    Ok(database.query_row("SELECT coalesce(sum(bytes), 0) FROM jobs", [], |row| row.get(0).map(natural))?)
+}
+
+fn find(database: &Connection, id: &str) -> Result<Option<Record>, StoreError> {
+    Ok(select(database, "WHERE id = ?", [id])?.pop())
+}
+
+fn select(
+    database: &Connection,
+    which: &str,
+    values: impl rusqlite::Params,
+) -> Result<Vec<Record>, StoreError> {
+    let mut statement = database.prepare_cached(&format!("SELECT {COLUMNS} FROM jobs {which}"))?;
+    let rows = statement.query_map(values, record)?;
+    Ok(rows.collect::<Result<_, _>>()?)
+}
+
+fn record(row: &Row<'_>) -> rusqlite::Result<Record> {
+    let state: String = row.get(2)?;
+    let text = |column: usize| row.get::<_, Option<String>>(column);
+    Ok(Record {
+        number: row.get(0)?,
+        id: row.get(1)?,
+        // Cannot be another: only this file writes it.
+        state: State::of_name(&state).ok_or(rusqlite::Error::InvalidQuery)?,
+        request: row.get(3)?,
+        request_id: row.get(4)?,
+        points_in: row.get(5).map(natural)?,
+        points_out: row.get(6).map(natural)?,
+        attempts: row.get(7)?,
+        created: row.get(8)?,
+        started: row.get(9)?,
+        finished: row.get(10)?,
+        result: text(11)?.and_then(|text| serde_json::from_str(&text).ok()),
+        failure: text(12)?.and_then(|text| serde_json::from_str(&text).ok()),
+    })
+}
+
+/// Strings and numbers only: there is nothing that JSON could not hold.
+fn json(value: &impl serde::Serialize) -> String {
+    serde_json::to_string(value).unwrap_or_default()
+}
+
+/// SQLite has signed numbers alone.
+fn integer(number: u64) -> i64 {
+    number.try_into().unwrap_or(i64::MAX)
+}
+
+fn natural(number: i64) -> u64 {
+    number.try_into().unwrap_or(0)
+}

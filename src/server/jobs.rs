@@ -1,0 +1,207 @@
+//! `/jobs`: clouds that are made dense while nobody waits.
+
+use std::sync::Arc;
+
+use axum::Json;
+use axum::body::Body;
+use axum::extract::{Extension, Path, Query, State};
+use axum::http::{HeaderMap, HeaderValue, StatusCode, Uri, header};
+use axum::response::{IntoResponse, Response};
+use serde::Serialize;
+use tokio::task::spawn_blocking;
+use tokio::time::timeout;
+
+use super::accepted::accepted;
+use super::app::App;
+use super::budget::Held;
+use super::jobs_document::Document;
+use super::jobs_work::Asked;
+use super::problem::Problem;
+use super::query::Parameters;
+use super::request_id::RequestId;
+use super::upload::{Received, Upload};
+use super::upsample::{Order, prepare};
+use crate::formats::Format;
+use crate::jobs::{Deleted, Jobs, NewJob, StoreError, Submitted};
+
+impl App {
+    pub(super) fn jobs(&self) -> Result<&Arc<Jobs>, Problem> {
+        self.jobs.as_ref().ok_or(Problem::JobsOff)
+    }
+}
+
+impl From<StoreError> for Problem {
+    fn from(error: StoreError) -> Self {
+        match error {
+            StoreError::OverBudget { used, wanted, limit } => Self::JobDisk { used, wanted, limit },
+            StoreError::OtherRequest => Self::KeyReused,
+            error if error.is_full() => Self::DiskFull(error.to_string()),
+            error => Self::Internal(error.to_string()),
+        }
+    }
+}
+
+/// Asks the store, on a thread that may wait for the disk.
+///
+/// # Errors
+/// [`Problem::JobsOff`], or the question's own.
+pub(super) async fn ask<T: Send + 'static>(
+    app: &Arc<App>,
+    question: impl FnOnce(&Arc<Jobs>) -> Result<T, Problem> + Send + 'static,
+) -> Result<T, Problem> {
+    let jobs = Arc::clone(app.jobs()?);
+    spawn_blocking(move || question(&jobs)).await.map_err(|error| Problem::Internal(error.to_string()))?
+}
+
+/// `POST /jobs`: as `POST /upsample` until the cloud is read, then 202 instead of the result. What
+/// `--request-timeout` limits is the upload.
+pub(super) async fn submit(
+    State(app): State<Arc<App>>,
+    Extension(id): Extension<RequestId>,
+    uri: Uri,
+    headers: HeaderMap,
+    body: Body,
+) -> Result<Response, Problem> {
+    let mut upload = Upload::new(&headers, body);
+    let limit = app.config.timeouts.request;
+    let answer = timeout(limit, take(&app, &id, &uri, &headers, &mut upload)).await;
+    let answer = answer.unwrap_or(Err(Problem::Deadline { limit }));
+    upload.give_up();
+    answer
+}
+
+async fn take(
+    app: &Arc<App>,
+    id: &RequestId,
+    uri: &Uri,
+    headers: &HeaderMap,
+    upload: &mut Upload,
+) -> Result<Response, Problem> {
+    app.jobs()?;
+    app.readiness.check()?;
+    let parameters = Parameters::parse(uri)?;
+    let wanted = accepted(headers)?;
+    let key = idempotency_key(headers)?;
+    let asked = Asked::of(uri, headers);
+    let received = upload.receive(headers, app, &parameters).await?;
+    let (shared, id) = (Arc::clone(app), id.as_str().to_owned());
+    let (submitted, document) = ask(app, move |jobs| {
+        let (job, _held) = new_job(&shared, received, &parameters, wanted, &asked)?;
+        let submitted = jobs.submit(&NewJob { key, request_id: id, ..job })?;
+        let (Submitted::New(record) | Submitted::Known(record)) = &submitted;
+        let document = Document::of(&shared, jobs, record)?;
+        Ok((submitted, document))
+    })
+    .await?;
+    let (status, record) = match submitted {
+        Submitted::New(record) => (StatusCode::ACCEPTED, record),
+        Submitted::Known(record) => (StatusCode::OK, record),
+    };
+    let location = HeaderValue::from_str(&format!("/jobs/{}", record.id))
+        .map_err(|error| Problem::Internal(error.to_string()))?;
+    Ok((status, [(header::LOCATION, location)], Json(document)).into_response())
+}
+
+/// Blocking work: reads the cloud, only to know that it can be read, and makes a job of its file.
+fn new_job(
+    app: &App,
+    received: Received,
+    parameters: &Parameters,
+    wanted: Option<Format>,
+    asked: &Asked,
+) -> Result<(NewJob, Held), Problem> {
+    let prepared = prepare(app, Order::read(app, &received, parameters.clone(), wanted)?)?;
+    let finite = prepared.request.cloud.positions.iter().filter(|p| p.iter().all(|c| c.is_finite())).count();
+    let points_out = prepared.request.target.points_out(finite as u64)?;
+    let (input, held) = received.into_parts();
+    let job = NewJob {
+        request: asked.text(),
+        key: None,
+        request_id: String::new(),
+        points_in: prepared.about.points_in,
+        points_out,
+        result_bytes: prepared.room,
+        input,
+    };
+    Ok((job, held))
+}
+
+/// The longest key that is taken.
+const LONGEST: usize = 255;
+
+fn idempotency_key(headers: &HeaderMap) -> Result<Option<String>, Problem> {
+    let Some(key) = headers.get("idempotency-key") else { return Ok(None) };
+    match key.to_str() {
+        Ok(text) if (1..=LONGEST).contains(&text.len()) => Ok(Some(text.to_owned())),
+        _ => {
+            let why = format!("not 1 to {LONGEST} visible ASCII characters");
+            Err(Problem::parameter("Idempotency-Key", why))
+        }
+    }
+}
+
+/// `GET /jobs/{id}`.
+pub(super) async fn get(
+    State(app): State<Arc<App>>,
+    Path(id): Path<String>,
+) -> Result<Json<Document>, Problem> {
+    Ok(Json(Document::ask(&app, id).await?))
+}
+
+/// `DELETE /jobs/{id}`: cancels a job that is not over (200, and the job), forgets one that is (204).
+pub(super) async fn delete(State(app): State<Arc<App>>, Path(id): Path<String>) -> Result<Response, Problem> {
+    let name = id.clone();
+    match ask(&app, move |jobs| Ok(jobs.delete(&name)?)).await? {
+        Some(Deleted::Cancelled) => Ok(Json(Document::ask(&app, id).await?).into_response()),
+        Some(Deleted::Forgotten) => Ok(StatusCode::NO_CONTENT.into_response()),
+        None => Err(Problem::NoJob(id)),
+    }
+}
+
+/// A page of `GET /jobs`.
+#[derive(Debug, Serialize)]
+pub(super) struct Page {
+    jobs: Vec<Document>,
+    /// The next page, where there is one.
+    next: Option<String>,
+}
+
+/// Jobs on a page where the request does not say.
+const PAGE: u32 = 20;
+/// And at most.
+const LONGEST_PAGE: u32 = 100;
+
+/// `GET /jobs`: the newest first.
+pub(super) async fn list(State(app): State<Arc<App>>, uri: Uri) -> Result<Json<Page>, Problem> {
+    let (before, limit) = page_of(&uri)?;
+    let shared = Arc::clone(&app);
+    let page = ask(&app, move |jobs| {
+        // One more than asked for tells whether there is another page.
+        let mut records = jobs.store().list(before, limit + 1)?;
+        let more = records.len() > limit as usize;
+        records.truncate(limit as usize);
+        let last = records.last().map(|record| record.number).filter(|_| more);
+        let next = last.map(|number| format!("/jobs?limit={limit}&before={number}"));
+        let jobs = records.iter().map(|record| Document::of(&shared, jobs, record));
+        Ok(Page { jobs: jobs.collect::<Result<_, _>>()?, next })
+    });
+    Ok(Json(page.await?))
+}
+
+fn page_of(uri: &Uri) -> Result<(Option<i64>, u32), Problem> {
+    let Query(pairs) = Query::<Vec<(String, String)>>::try_from_uri(uri)
+        .map_err(|error| Problem::parameter("query", error.to_string()))?;
+    let (mut before, mut limit) = (None, PAGE);
+    for (name, value) in &pairs {
+        let wrong = |what: String| Problem::parameter(name, format!("{value:?} is not {what}"));
+        match name.as_str() {
+            "before" => before = Some(value.parse().map_err(|_| wrong("a number of a job".into()))?),
+            "limit" => match value.parse() {
+                Ok(number) if (1..=LONGEST_PAGE).contains(&number) => limit = number,
+                _ => return Err(wrong(format!("a number from 1 to {LONGEST_PAGE}"))),
+            },
+            _ => return Err(Problem::parameter(name, "unknown; there are before and limit".into())),
+        }
+    }
+    Ok((before, limit))
+}

@@ -1,0 +1,141 @@
+//! `GET /jobs/{id}/result`: the file, or a part of it.
+
+use std::fs::File;
+use std::io::{self, Read, Seek, SeekFrom};
+use std::ops::Range;
+use std::sync::Arc;
+
+use axum::body::{Body, Bytes};
+use axum::extract::{Path, State};
+use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use futures::stream;
+use tokio::task::spawn_blocking;
+
+use super::app::App;
+use super::jobs::ask;
+use super::jobs_document::about;
+use super::problem::Problem;
+
+/// Bytes read at a time.
+const CHUNK: u64 = 256 << 10;
+
+/// The handler. Also answers `HEAD`, since axum leaves the body out there.
+pub(super) async fn result(
+    State(app): State<Arc<App>>,
+    Path(id): Path<String>,
+    headers: HeaderMap,
+) -> Result<Response, Problem> {
+    let (result, mut file) = ask(&app, move |jobs| match jobs.store().result(&id)? {
+        Some((_, result, file)) => Ok((result, file)),
+        None => match jobs.store().get(&id)? {
+            Some(record) => Err(Problem::JobNotDone { state: record.state.name() }),
+            None => Err(Problem::NoJob(id)),
+        },
+    })
+    .await?;
+    let about = about(&result)?;
+    let tag = format!("\"{}\"", result.sha256);
+    let mut response = if has(&headers, header::IF_NONE_MATCH, &tag) {
+        StatusCode::NOT_MODIFIED.into_response()
+    } else {
+        // A part of another version of the file would be of no use (RFC 9110, section 13.1.5).
+        let valid = !headers.contains_key(header::IF_RANGE) || has(&headers, header::IF_RANGE, &tag);
+        let range = headers.get(header::RANGE).filter(|_| valid).and_then(|range| range.to_str().ok());
+        let part = range.map_or(Ok(None), |range| part(range, result.bytes))?;
+        let Range { start, end } = part.clone().unwrap_or(0..result.bytes);
+        if start > 0 {
+            // A seek only sets a number: it does not wait for the disk.
+            file.seek(SeekFrom::Start(start)).map_err(|error| Problem::Internal(error.to_string()))?;
+        }
+        let mut response = body(file, end - start).into_response();
+        let headers = response.headers_mut();
+        headers.insert(header::CONTENT_LENGTH, (end - start).into());
+        if part.is_some() {
+            headers.insert(
+                header::CONTENT_RANGE,
+                value(&format!("bytes {start}-{}/{}", end - 1, result.bytes))?,
+            );
+            *response.status_mut() = StatusCode::PARTIAL_CONTENT;
+        }
+        response
+    };
+    let headers = response.headers_mut();
+    about.tell(headers);
+    headers.insert(header::ETAG, value(&tag)?);
+    headers.insert(header::ACCEPT_RANGES, HeaderValue::from_static("bytes"));
+    Ok(response)
+}
+
+fn value(text: &str) -> Result<HeaderValue, Problem> {
+    HeaderValue::from_str(text).map_err(|error| Problem::Internal(error.to_string()))
+}
+
+/// Whether one of the tags in a header is this one; `*` is any.
+fn has(headers: &HeaderMap, name: header::HeaderName, tag: &str) -> bool {
+    let values = headers.get_all(name);
+    let mut tags = values.iter().filter_map(|value| value.to_str().ok()).flat_map(|value| value.split(','));
+    tags.any(|one| matches!(one.trim(), one if one == "*" || one == tag))
+}
+
+/// The part of so many bytes that a `Range` header asks for; none where the whole is to be sent: for what
+/// is not understood, and for several parts at once (RFC 9110, section 14.2, lets a server do so).
+fn part(header: &str, length: u64) -> Result<Option<Range<u64>>, Problem> {
+    let Some((first, last)) = header.trim().strip_prefix("bytes=").and_then(|range| range.split_once('-'))
+    else {
+        return Ok(None);
+    };
+    let range = match (first.trim(), last.trim()) {
+        ("", last) => last.parse().ok().map(|count: u64| length.saturating_sub(count)..length),
+        (first, "") => first.parse().ok().map(|first| first..length),
+        (first, last) => match (first.parse(), last.parse()) {
+            (Ok(first), Ok(last)) if first <= last => Some(first..length.min(u64::saturating_add(last, 1))),
+            _ => None,
+        },
+    };
+    match range {
+        Some(range) if range.start >= range.end => Err(Problem::Range { length }),
+        range => Ok(range),
+    }
+}
+
+/// So many bytes of a file from where it stands, read as fast as the client reads.
+fn body(file: File, left: u64) -> Body {
+    Body::from_stream(stream::try_unfold((file, left), |(mut file, left)| async move {
+        if left == 0 {
+            return Ok(None);
+        }
+        let read = spawn_blocking(move || {
+            let mut bytes = vec![0; left.min(CHUNK) as usize];
+            file.read_exact(&mut bytes).map(|()| (bytes, file))
+        });
+        let (bytes, file) = read.await.map_err(io::Error::other)??;
+        let left = left - bytes.len() as u64;
+        Ok::<_, io::Error>(Some((Bytes::from(bytes), (file, left))))
+    }))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_range_is_read_as_the_standard_says() {
+        for (header, expected) in [
+            ("bytes=0-0", Ok(Some(0..1))),
+            ("bytes=2-", Ok(Some(2..10))),
+            ("bytes=2-99", Ok(Some(2..10))),
+            ("bytes=9-18446744073709551615", Ok(Some(9..10))),
+            ("bytes=-3", Ok(Some(7..10))),
+            ("bytes=-99", Ok(Some(0..10))),
+            ("bytes=10-", Err(Problem::Range { length: 10 })),
+            ("bytes=-0", Err(Problem::Range { length: 10 })),
+            ("bytes=5-2", Ok(None)),
+            ("bytes=1-2,4-5", Ok(None)),
+            ("lines=1-2", Ok(None)),
+            ("bytes=x-", Ok(None)),
+        ] {
+            assert_eq!(part(header, 10), expected, "{header}");
+        }
+    }
+}
