@@ -79,15 +79,59 @@ fn check(bytes: &[u8]) -> Result<(), FormatError> {
     }
     // The top bits of the point format mean compression.
     if bytes[104] & 0xC0 != 0 && inside(data, 8) {
-        let mut table = number::<8>(bytes, data as usize);
-        if table == u64::MAX {
-            table = number::<8>(bytes, bytes.len() - 8);
-        }
-        if !inside(table, 8) || number::<4>(bytes, table as usize + 4) > len {
+        let table = table_of_chunks(bytes) as u64;
+        if table < data + 8 || !inside(table, 8) || number::<4>(bytes, table as usize + 4) > len {
             return at(data, "the table of compressed chunks is not inside the file");
         }
     }
     Ok(())
+}
+
+/// Refuses layers (LAZ of point formats 6 and up) that do not fit into the file, since the decoder makes
+/// room for each before it reads it. A chunk is its first point, the number of its points, the size of each
+/// layer, and the layers; the next one follows.
+fn check_layers(bytes: &[u8], records: &[LasRecord]) -> Result<(), FormatError> {
+    let compression = records.iter().find(|r| r.user_id == "laszip encoded" && r.id == 22_204);
+    let Some(items) = compression.and_then(|r| r.data.get(34..)).filter(|_| bytes[104] & 0xC0 != 0) else {
+        return Ok(());
+    };
+    let (mut point, mut layers) = (0, 0);
+    for item in items.chunks_exact(6) {
+        let size = number::<2>(item, 2) as usize;
+        point += size;
+        // By the numbers that LASzip has for kinds of items.
+        layers += match number::<2>(item, 0) {
+            10 => 9,
+            11 | 13 => 1,
+            12 => 2,
+            14 => size,
+            _ => return Ok(()),
+        };
+    }
+    // The place of the table of chunks comes before the first.
+    let mut at = (number::<4>(bytes, 96) as usize).saturating_add(8);
+    while let Some(sizes) = bytes.get(at.saturating_add(point + 4)..).and_then(|rest| rest.get(..4 * layers))
+    {
+        let total: u64 = sizes.chunks_exact(4).map(|size| number::<4>(size, 0)).sum();
+        let from = at + point + 4 + 4 * layers;
+        if total > (bytes.len() - from) as u64 {
+            // What follows the last chunk is no chunk: then the decoder never comes here.
+            let why = "the layers of compressed points are not inside the file";
+            return if at < table_of_chunks(bytes) {
+                Err(FormatError::malformed(Place::Byte(at as u64), why))
+            } else {
+                Ok(())
+            };
+        }
+        at = from + total as usize;
+    }
+    Ok(())
+}
+
+/// Where the table of chunks begins, as [`check`] has found it to be inside the file.
+fn table_of_chunks(bytes: &[u8]) -> usize {
+    let table = number::<8>(bytes, number::<4>(bytes, 96) as usize);
+    (if table == u64::MAX { number::<8>(bytes, bytes.len() - 8) } else { table }) as usize
 }
 
 /// A little-endian number of `N` bytes at `from`.
@@ -105,6 +149,7 @@ fn decode(bytes: Vec<u8>, end: Place) -> Result<Cloud, FormatError> {
         other => FormatError::malformed(Place::Byte(0), format!("not a readable LAS file: {other}")),
     };
     let records = records(&bytes);
+    check_layers(&bytes, &records)?;
     let las = told(&bytes);
     let mut reader = Reader::new(Cursor::new(bytes)).map_err(bad)?;
     let header = reader.header().clone();
