@@ -18,6 +18,9 @@ const SHORTEST: usize = 227;
 /// The header up to the point count of version 1.4.
 const LONGEST: usize = 255;
 
+/// Most extra bytes in a compressed point: the decoder has tables of 10 KB for each. Real files have some tens.
+const MOST_EXTRA: usize = 1024;
+
 /// Bytes of points decoded at a time: memory grows with what is there, whatever the header counts, and
 /// however long it says that a point is.
 const BLOCK: usize = 1 << 22;
@@ -87,24 +90,31 @@ fn check(bytes: &[u8]) -> Result<(), FormatError> {
     Ok(())
 }
 
-/// Refuses layers (LAZ of point formats 6 and up) that do not fit into the file, since the decoder makes
-/// room for each before it reads it. A chunk is its first point, the number of its points, the size of each
+/// Refuses what the decoder would make room for before it reads it: more extra bytes than any file has, and
+/// layers (LAZ of point formats 6 and up) that do not fit into the file. A chunk is its first point, the number of its points, the size of each
 /// layer, and the layers; the next one follows.
 fn check_layers(bytes: &[u8], records: &[LasRecord]) -> Result<(), FormatError> {
     let compression = records.iter().find(|r| r.user_id == "laszip encoded" && r.id == 22_204);
     let Some(items) = compression.and_then(|r| r.data.get(34..)).filter(|_| bytes[104] & 0xC0 != 0) else {
         return Ok(());
     };
+    // By the numbers that LASzip has for kinds of items: 0 and 14 are extra bytes.
+    let items = || items.chunks_exact(6).map(|item| (number::<2>(item, 0), number::<2>(item, 2) as usize));
+    if let Some((_, size)) = items().find(|(kind, size)| matches!(kind, 0 | 14) && *size > MOST_EXTRA) {
+        let why = format!(
+            "{size} extra bytes a point; of compressed points, at most {MOST_EXTRA} are read: unpack the file to LAS"
+        );
+        return Err(FormatError::malformed(Place::Byte(0), why));
+    }
     let (mut point, mut layers) = (0, 0);
-    for item in items.chunks_exact(6) {
-        let size = number::<2>(item, 2) as usize;
+    for (kind, size) in items() {
         point += size;
-        // By the numbers that LASzip has for kinds of items.
-        layers += match number::<2>(item, 0) {
+        layers += match kind {
             10 => 9,
             11 | 13 => 1,
             12 => 2,
             14 => size,
+            // Not in layers.
             _ => return Ok(()),
         };
     }

@@ -22,3 +22,10 @@ fn a_layer_that_is_longer_than_the_file_takes_no_room() {
     let error = read(finding!("las-long-layer.bin")).expect_err("an error").to_string();
     assert!(error.contains("layers of compressed points"), "{error}");
 }
+
+#[test]
+fn tables_for_extra_bytes_are_bounded() {
+    // They were 0.6 GB.
+    let error = read(finding!("las-many-extra-bytes.bin")).expect_err("an error").to_string();
+    assert!(error.contains("extra bytes a point"), "{error}");
+}
