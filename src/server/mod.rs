@@ -1,4 +1,4 @@
-//! The HTTP interface: `POST /upsample` over the [`engine`](crate::engine), `/jobs` over
+//! The HTTP and gRPC interfaces: `POST /upsample` over the [`engine`](crate::engine), `/jobs` over
 //! [`jobs`](crate::jobs), and what operators need around it (`/healthz`, `/readyz`, `/metrics`).
 //!
 //! | file | holds |
@@ -9,6 +9,7 @@
 //! | `record` | around each request: id, log, metrics |
 //! | `upsample` | the handler, from body to body |
 //! | `inference` | the same work as tensors in JSON or binary: the Open Inference Protocol |
+//! | `grpc` | the same work in messages, on the same port; health and reflection |
 //! | `jobs`, `jobs_document`, `jobs_result`, `jobs_events` | jobs: taking, telling, sending, watching |
 //! | `jobs_work` | what a job is about, for the threads that run it |
 //! | `query`, `upload`, `decode`, `download` | its parts: parameters, the body in, what compresses it, the body out |
@@ -28,6 +29,7 @@ mod budget;
 mod config;
 mod decode;
 mod download;
+mod grpc;
 mod inference;
 mod jobs;
 mod jobs_document;

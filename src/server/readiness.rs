@@ -6,7 +6,7 @@ use super::problem::Problem;
 
 /// The three phases of a server's life, in order; it never goes back.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-enum Phase {
+pub(super) enum Phase {
     WarmingUp,
     Ready,
     Draining,
@@ -43,6 +43,17 @@ impl Readiness {
             Phase::Ready => Ok(()),
             Phase::Draining => Err(Problem::Draining),
         }
+    }
+
+    /// Tells of each change of what [`Readiness::check`] says.
+    pub(super) fn changes(&self) -> watch::Receiver<Phase> {
+        self.0.subscribe()
+    }
+
+    /// Resolves once the server stops.
+    pub(super) async fn draining(&self) {
+        // Cannot fail: `self` holds the sender.
+        let _ = self.0.subscribe().wait_for(|phase| *phase == Phase::Draining).await;
     }
 
     fn advance(&self, to: Phase) {

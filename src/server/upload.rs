@@ -132,7 +132,13 @@ impl Upload {
             match timeout(stall, self.body.frame()).await {
                 Err(_) => return Err(Problem::UploadStalled { limit: stall }),
                 Ok(None) => return Ok(None),
-                Ok(Some(Err(error))) => return Err(Problem::Interrupted(error.to_string())),
+                // What is sent in messages, and not as one file, may be wrong in itself.
+                Ok(Some(Err(error))) => {
+                    return Err(match error.into_inner().downcast::<Problem>() {
+                        Ok(problem) => *problem,
+                        Err(error) => Problem::Interrupted(error.to_string()),
+                    });
+                }
                 // Trailers are no part of a cloud.
                 Ok(Some(Ok(frame))) => {
                     if let Ok(data) = frame.into_data() {

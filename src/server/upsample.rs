@@ -56,7 +56,7 @@ async fn answer(
     let received = upload.receive(headers, app, &parameters).await?;
     let took = received.took;
     let read = move |app: &App| Ok((Order::read(app, &received, parameters, wanted)?, ()));
-    let (done, ()) = run(app, took, read).await?;
+    let (done, ()) = run(app, took, read, |_| {}).await?;
     let points = done.points();
     let length = done.format.encoded_len(points.made, &done.dense.attributes, &done.dense.origin);
     let mut headers = done.headers();
@@ -114,11 +114,12 @@ impl Done {
 }
 
 /// Upsamples what `read` makes of a body that took `upload` to arrive; `read` runs on a blocking thread,
-/// and what else it gives comes back with the result.
+/// and what else it gives comes back with the result. `begun` is shown the job when the engine has taken it.
 pub(super) async fn run<T: Send + 'static>(
     app: &Arc<App>,
     upload: Duration,
     read: impl FnOnce(&App) -> Result<(Order, T), Problem> + Send + 'static,
+    begun: impl FnOnce(&Job),
 ) -> Result<(Done, T), Problem> {
     let mut timing = Timing::default();
     timing.add(app, "upload", upload);
@@ -134,6 +135,7 @@ pub(super) async fn run<T: Send + 'static>(
     timing.add(app, "parse", start.elapsed());
     let start = Instant::now();
     let Submitted { job, held, format, origin, mut about } = submitted;
+    begun(&job);
     let outcome = job.await.map_err(|error| Problem::from_engine(error, app.engine.retry_after()))?;
     about.complete(&outcome, format, &origin);
     timing.add(app, "queue", start.elapsed().saturating_sub(outcome.stages.total()));

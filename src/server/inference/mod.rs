@@ -142,7 +142,7 @@ async fn answer(app: &Arc<App>, headers: &HeaderMap, upload: &mut Upload) -> Res
         // To the rest, a tensor is a NumPy array.
         Ok((Order { cloud, parameters, input, wanted: None }, reply))
     };
-    let (mut done, reply) = upsample::run(app, took, read).await?;
+    let (mut done, reply) = upsample::run(app, took, read, |_| {}).await?;
     if done.format != (Format::Npy { scalar: reply.datatype.scalar(), fields: false }) {
         let why = "FP32 is too coarse for these coordinates and this many points; send FP64";
         done.about.warnings.push(why.into());
