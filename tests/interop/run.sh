@@ -1,7 +1,7 @@
 #!/bin/sh
 # Formats and the server against other programs: files that they write are read here, and files written here by
-# them; and Triton's client, and one generated from
-# the gRPC contract, talk to the server.
+# them; and Triton's client, and one generated
+# from the gRPC contract, talk to the server.
 # Their packages come from PyPI into .venv-interop at the repository root, about 2 GB, the first time.
 #
 #     sh tests/interop/run.sh [arguments of pytest]

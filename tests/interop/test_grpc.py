@@ -5,6 +5,7 @@ import re
 import subprocess
 import sys
 import threading
+from urllib.request import urlopen
 
 import grpc
 import numpy as np
@@ -80,9 +81,7 @@ def columns(stubs):
 
     def columns(points, size=1000, attributes=None, **options):
         attributes = attributes or {}
-        fields = [
-            pb.Field(name=name, type=NUMBERS[values.dtype.str[1:]]) for name, values in attributes.items()
-        ]
+        fields = [pb.Field(name=name, type=NUMBERS[values.dtype.str[1:]]) for name, values in attributes.items()]
         layout = pb.Layout(points=len(points), position_type=NUMBERS[points.dtype.str[1:]], fields=fields)
         yield pb.UpsampleRequest(start=pb.Start(options=pb.Options(**options), layout=layout))
         for i in range(0, len(points), size):
@@ -240,8 +239,6 @@ def test_a_call_that_is_cancelled_leaves_nothing_behind(call, columns, address, 
 
 
 def metrics(address):
-    from urllib.request import urlopen
-
     with urlopen(f"http://{address}/metrics") as page:
         return page.read().decode()
 
@@ -282,8 +279,9 @@ def test_the_manuals_example_runs_as_printed(tmp_path, address):
     script = re.search(r"```python\n(.*?)```", manual, re.DOTALL)[1]
     assert "localhost:8080" in script
     (tmp_path / "example.py").write_text(script.replace("localhost:8080", address))
-    command = [sys.executable, "-m", "grpc_tools.protoc", f"-I{ROOT / 'proto'}", "--python_out=.", "--grpc_python_out=."]
-    subprocess.run([*command, "densecloud/v1/densecloud.proto"], cwd=tmp_path, check=True)
+    (command,) = re.findall(r"^python (-m grpc_tools.protoc .*)$", manual, re.MULTILINE)
+    command = command.replace("-Iproto", f"-I{ROOT / 'proto'}")
+    subprocess.run([sys.executable, *command.split()], cwd=tmp_path, check=True)
     done = subprocess.run([sys.executable, "example.py"], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     said = done.stdout.splitlines()[-1]

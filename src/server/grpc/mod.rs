@@ -23,7 +23,7 @@ use std::sync::Arc;
 use axum::Router;
 use axum::body::Body;
 use axum::extract::{Request, State};
-use axum::http::{HeaderMap, header};
+use axum::http::{HeaderMap, Version, header};
 use axum::middleware::{self, Next};
 use axum::response::{IntoResponse, Response};
 use futures::StreamExt;
@@ -98,9 +98,13 @@ pub(super) fn refusal(problem: &Problem, request_id: &str) -> Response {
     problem.grpc(request_id).into_http()
 }
 
-/// Hides these paths from everything that is no call.
+/// Hides these paths from everything that is no call. HTTP/1.1 has no place for a status that comes last.
 async fn calls_alone(request: Request, next: Next) -> Response {
-    if is_call(request.headers()) { next.run(request).await } else { Problem::NotFound.into_response() }
+    if is_call(request.headers()) && request.version() == Version::HTTP_2 {
+        next.run(request).await
+    } else {
+        Problem::NotFound.into_response()
+    }
 }
 
 /// Ends the client's side of a call, and so the call, when the server stops.

@@ -145,8 +145,10 @@ impl Call {
         let app = &self.app;
         app.readiness.check()?;
         let stall = app.config.timeouts.stall;
-        // For a message that is only half there.
-        let half = app.budget.hold(MESSAGE as u64).ok_or_else(|| app.held_full())?;
+        // For a message that is only half there; never so much that the largest cloud has no room beside it.
+        let limits = &app.config.limits;
+        let half = limits.held_bytes.saturating_sub(limits.body_bytes).min(MESSAGE as u64);
+        let half = app.budget.hold(half).ok_or_else(|| app.held_full())?;
         let start = timeout(stall, incoming::start(&mut messages)).await;
         let start = start.unwrap_or(Err(Problem::UploadStalled { limit: stall }))?;
         let Start { parameters, wanted, as_points, columns } = Start::read(start, app)?;
