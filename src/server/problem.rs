@@ -620,6 +620,16 @@ mod tests {
             assert_eq!(details.retry_info().is_some(), status == 503, "{name}");
             assert!(!grpc.message().contains("secret"));
         }
+        let manual = include_str!("../../docs/grpc.md");
+        let rows = manual.lines().filter(|line| line.starts_with("| `"));
+        let rows: Vec<Vec<&str>> = rows.map(|row| row.split('|').map(str::trim).collect()).collect();
+        for (problem, status, name) in
+            all().into_iter().filter(|(_, status, _)| ![404, 409, 416].contains(status))
+        {
+            let row = rows.iter().find(|row| row[2].split(", ").any(|s| s == status.to_string()));
+            let code = row.unwrap_or_else(|| panic!("no row for {name}"))[1].replace(['_', '`'], "");
+            assert_eq!(code, format!("{:?}", problem.grpc("").code()).to_uppercase(), "{name}");
+        }
         let long = Problem::parameter("attributes", "x".repeat(100_000)).grpc("id-1");
         assert!(long.details().len() + long.message().len() < 8000, "it fits into headers");
     }

@@ -1,7 +1,10 @@
 //! A cloud's messages as the body of a file, which all that follows reads as any other.
 
+use std::sync::Arc;
+
 use axum::body::{Body, Bytes};
 use futures::stream;
+use tokio::task::spawn_blocking;
 use tonic::{Code, Status, Streaming};
 
 use super::MESSAGE;
@@ -41,7 +44,7 @@ struct Incoming {
 
 /// Columns that become rows.
 struct Rows {
-    columns: Columns,
+    columns: Arc<Columns>,
     /// Points so far.
     seen: u64,
 }
@@ -79,7 +82,7 @@ impl Incoming {
         };
         match (message.message, &mut self.columns) {
             (Some(Message::FileChunk(bytes)), None) => Ok(Some(bytes)),
-            (Some(Message::Points(chunk)), Some(rows)) => rows.add(&chunk).map(Some),
+            (Some(Message::Points(chunk)), Some(rows)) => rows.add(chunk).await.map(Some),
             (Some(Message::FileChunk(_)), Some(_)) => {
                 Err(malformed("a `file_chunk`, but the start has a layout; it is for `points`"))
             }
@@ -94,11 +97,24 @@ impl Incoming {
 
 impl Rows {
     fn new(columns: Columns) -> Self {
-        Self { columns, seen: 0 }
+        Self { columns: Arc::new(columns), seen: 0 }
     }
 
     /// The chunk's points, row by row.
-    fn add(&mut self, chunk: &PointChunk) -> Result<Bytes, Problem> {
+    async fn add(&mut self, chunk: PointChunk) -> Result<Bytes, Problem> {
+        self.check(&chunk)?;
+        if self.columns.fields.is_empty() {
+            // Nothing is between two positions.
+            return Ok(chunk.positions);
+        }
+        let columns = Arc::clone(&self.columns);
+        // A large chunk of many columns takes milliseconds.
+        let rows = spawn_blocking(move || rows(&columns, &chunk)).await;
+        rows.map_err(|error| Problem::Internal(error.to_string()))
+    }
+
+    /// Checks the chunk against the layout, and counts its points.
+    fn check(&mut self, chunk: &PointChunk) -> Result<(), Problem> {
         let position = self.columns.position();
         if !chunk.positions.len().is_multiple_of(position) {
             return Err(malformed(format!(
@@ -122,7 +138,6 @@ impl Rows {
                 fields.len()
             )));
         }
-        let mut columns = vec![(&chunk.positions[..], position)];
         for ((name, kind), bytes) in fields.iter().zip(&chunk.fields) {
             let expected = points * kind.size();
             if bytes.len() != expected {
@@ -132,19 +147,8 @@ impl Rows {
                     name.escape_debug()
                 )));
             }
-            columns.push((bytes, kind.size()));
         }
-        if let [_] = columns[..] {
-            // Nothing is between two positions.
-            return Ok(chunk.positions.clone());
-        }
-        let mut rows = Vec::with_capacity(points * self.columns.stride());
-        for i in 0..points {
-            for (bytes, size) in &columns {
-                rows.extend_from_slice(&bytes[i * size..(i + 1) * size]);
-            }
-        }
-        Ok(rows.into())
+        Ok(())
     }
 
     fn finish(&self) -> Result<(), Problem> {
@@ -158,14 +162,28 @@ impl Rows {
     }
 }
 
+/// Blocking work: a chunk that fits the layout, row by row.
+fn rows(columns: &Columns, chunk: &PointChunk) -> Bytes {
+    let fields = columns.fields.iter().zip(&chunk.fields).map(|((_, kind), bytes)| (bytes, kind.size()));
+    let all: Vec<_> = std::iter::once((&chunk.positions, columns.position())).chain(fields).collect();
+    let points = chunk.positions.len() / columns.position();
+    let mut rows = Vec::with_capacity(points * columns.stride());
+    for i in 0..points {
+        for (bytes, size) in &all {
+            rows.extend_from_slice(&bytes[i * size..(i + 1) * size]);
+        }
+    }
+    rows.into()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::cloud::{Kind, Values};
     use crate::formats::{CloudReader, Limits, Scalar};
 
-    #[test]
-    fn columns_become_the_rows_of_a_numpy_file() {
+    #[tokio::test]
+    async fn columns_become_the_rows_of_a_numpy_file() {
         let fields = vec![("label".to_owned(), Kind::U16), ("rot's".to_owned(), Kind::F64)];
         let columns = Columns { points: 3, scalar: Scalar::F32, fields };
         let mut file = columns.npy_header();
@@ -182,7 +200,7 @@ mod tests {
                     some.iter().flat_map(|i| (0.1 * f64::from(*i)).to_le_bytes()).collect(),
                 ],
             };
-            file.extend(rows.add(&chunk).expect("a chunk"));
+            file.extend(rows.add(chunk).await.expect("a chunk"));
         }
         assert_eq!(rows.finish(), Ok(()));
         let cloud =
@@ -206,7 +224,7 @@ mod tests {
                 positions: vec![0; positions].into(),
                 fields: fields.into_iter().map(|bytes| vec![0; bytes].into()).collect(),
             };
-            let why = Rows::new(columns.clone()).add(&chunk).expect_err(part).to_string();
+            let why = Rows::new(columns.clone()).check(&chunk).expect_err(part).to_string();
             assert!(why.contains(part), "{why}");
         }
         assert!(Rows::new(columns).finish().is_err(), "points are missing");
