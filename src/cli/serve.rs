@@ -3,6 +3,7 @@
 use std::io::{self, IsTerminal};
 use std::path::PathBuf;
 use std::process::exit;
+use std::sync::Arc;
 use std::time::Duration;
 
 use clap::{Args, ValueEnum};
@@ -13,6 +14,8 @@ use tracing_subscriber::EnvFilter;
 
 use super::CliError;
 use super::engine_args::EngineArgs;
+use super::settings::SettingsArgs;
+use crate::backend::Model;
 use crate::engine::{Engine, EngineConfig};
 use crate::jobs;
 use crate::server::{self, Config, Limits, ModelInfo, Timeouts};
@@ -26,6 +29,9 @@ Examples:
 
 SIGTERM and SIGINT let requests in flight finish (--drain-timeout); a second one ends at once.")]
 pub(super) struct ServeArgs {
+    #[command(flatten)]
+    settings: SettingsArgs,
+
     /// Port to listen on; 0 lets the system choose one, which the log then names
     #[arg(short, long, env = "DENSECLOUD_PORT", default_value_t = 8080)]
     port: u16,
@@ -112,11 +118,12 @@ enum LogFormat {
 const BLOCKING_THREADS: usize = 16;
 
 pub(super) fn run(args: &ServeArgs) -> Result<(), CliError> {
-    let mut config = args.config();
-    config.validate().map_err(|e| CliError::Usage(e.to_string()))?;
-    start_log(args)?;
+    let Checked { mut config, model, filter } = args.check()?;
+    start_log(filter, args.log_format)?;
+    if let Some(file) = &args.settings.config {
+        tracing::info!(file = %file.display(), "settings read");
+    }
     let failed = |why: &dyn std::fmt::Display| CliError::Failed(why.to_string());
-    let model = args.engine.model()?;
     let sizes =
         EngineConfig { threads: args.engine.threads, queue_points: args.queue_points, ..Default::default() };
     let engine = Engine::new(model.clone(), sizes).map_err(|e| failed(&e))?;
@@ -131,7 +138,40 @@ pub(super) fn run(args: &ServeArgs) -> Result<(), CliError> {
     served
 }
 
+/// What the settings come to, all of it found to work as far as can be told without a port.
+pub(super) struct Checked {
+    config: Config,
+    model: Arc<Model>,
+    filter: EnvFilter,
+}
+
 impl ServeArgs {
+    /// Whether the settings are to be printed instead of used.
+    pub(super) fn prints_settings(&self) -> bool {
+        self.settings.print_config
+    }
+
+    /// Looks for everything that is wrong with the settings. Opens no port and writes nothing.
+    ///
+    /// # Errors
+    /// [`CliError::Usage`] with the setting and what to do, for all that the settings are to blame for.
+    pub(super) fn check(&self) -> Result<Checked, CliError> {
+        let config = self.config();
+        config.validate().map_err(|e| CliError::Usage(e.to_string()))?;
+        let filter = EnvFilter::try_new(&self.log)
+            .map_err(|e| CliError::Usage(format!("--log {:?}: {e}; try info or debug", self.log)))?;
+        if let Some(jobs) = config.jobs.as_ref().filter(|jobs| jobs.folder.exists() && !jobs.folder.is_dir())
+        {
+            let folder = jobs.folder.display();
+            return Err(CliError::Usage(format!("--data-dir {folder} is a file; give it a folder")));
+        }
+        let model = self.engine.model().map_err(|error| match &self.engine.model {
+            Some(_) => CliError::Usage(format!("{error}; --model is a folder as in models/default")),
+            None => error,
+        })?;
+        Ok(Checked { config, model, filter })
+    }
+
     fn config(&self) -> Config {
         Config {
             limits: Limits {
@@ -243,15 +283,13 @@ fn stop(runtime: Runtime) {
     runtime.shutdown_background();
 }
 
-fn start_log(args: &ServeArgs) -> Result<(), CliError> {
-    let filter = EnvFilter::try_new(&args.log)
-        .map_err(|e| CliError::Usage(format!("--log {:?}: {e}; try info or debug", args.log)))?;
+fn start_log(filter: EnvFilter, format: LogFormat) -> Result<(), CliError> {
     let log = tracing_subscriber::fmt()
         .with_env_filter(filter)
         .with_writer(io::stderr)
         .with_ansi(io::stderr().is_terminal())
         .with_target(false);
-    let started = match args.log_format {
+    let started = match format {
         LogFormat::Text => log.try_init(),
         LogFormat::Json => log.json().try_init(),
     };
@@ -317,19 +355,19 @@ mod tests {
     }
 
     #[test]
-    fn the_manual_has_every_limit_with_its_default() {
+    fn every_option_is_a_setting() {
         use clap::CommandFactory;
-        let manual = include_str!("../../docs/http.md");
-        let mut limits = 0;
-        for argument in Line::command().get_arguments() {
-            let Some(flag) = argument.get_long() else { continue };
-            if flag.starts_with("max-") || flag.ends_with("-timeout") || flag == "queue-points" {
-                let default = argument.get_default_values()[0].to_string_lossy();
-                assert!(manual.contains(&format!("| `--{flag}` | {default} |")), "--{flag} {default}");
-                limits += 1;
+        for option in Line::command().get_arguments() {
+            let name = option.get_long().expect("a name");
+            let variable = option.get_env().map(|name| name.to_string_lossy().into_owned());
+            let expected = format!("DENSECLOUD_{}", name.replace('-', "_").to_uppercase());
+            match name {
+                // Not a setting but something to do.
+                "print-config" => assert_eq!(variable, None),
+                _ => assert_eq!(variable, Some(expected), "--{name} needs an `env`"),
             }
+            assert!(option.get_help().is_some(), "--{name} needs help");
         }
-        assert_eq!(limits, 10);
     }
 
     #[test]
