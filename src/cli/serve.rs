@@ -18,7 +18,7 @@ use super::settings::SettingsArgs;
 use crate::backend::Model;
 use crate::engine::{Engine, EngineConfig};
 use crate::jobs;
-use crate::server::{self, Config, Limits, ModelInfo, Timeouts};
+use crate::server::{self, Config, CorsOrigin, Limits, ModelInfo, Timeouts};
 
 /// Serve over HTTP: POST a cloud to /upsample, get a denser one back.
 #[derive(Debug, Args)]
@@ -27,7 +27,8 @@ Examples:
   densecloud serve --port 8080
   curl --data-binary @scan.ply 'http://localhost:8080/upsample?ratio=4' -o dense.ply
 
-SIGTERM and SIGINT let requests in flight finish (--drain-timeout); a second one ends at once.")]
+SIGTERM and SIGINT let requests in flight finish (--drain-lead, --drain-timeout); a second one ends
+at once.")]
 pub(super) struct ServeArgs {
     #[command(flatten)]
     settings: SettingsArgs,
@@ -88,6 +89,12 @@ pub(super) struct ServeArgs {
         default_value = "600")]
     request_timeout: Duration,
 
+    /// How long new requests are still served after the first signal, while /readyz already says 503:
+    /// as long as a load balancer takes to notice
+    #[arg(long, env = "DENSECLOUD_DRAIN_LEAD", value_name = "SECONDS", value_parser = seconds,
+        default_value = "0")]
+    drain_lead: Duration,
+
     /// How long requests in flight may take once the server was told to stop
     #[arg(long, env = "DENSECLOUD_DRAIN_TIMEOUT", value_name = "SECONDS", value_parser = seconds,
         default_value = "30")]
@@ -95,6 +102,11 @@ pub(super) struct ServeArgs {
 
     #[command(flatten)]
     jobs: JobsArgs,
+
+    /// Site whose pages may use the server from a browser, such as https://example.org, or * for all;
+    /// several with commas. Without it, none
+    #[arg(long, env = "DENSECLOUD_CORS_ORIGIN", value_name = "ORIGIN", value_delimiter = ',')]
+    cors_origin: Vec<CorsOrigin>,
 
     /// What is logged to standard error: error, warn, info, debug, or a filter like `info,hyper=debug`
     #[arg(long, env = "DENSECLOUD_LOG", value_name = "FILTER", default_value = "info")]
@@ -185,9 +197,11 @@ impl ServeArgs {
                 head: self.head_timeout,
                 stall: self.stall_timeout,
                 request: self.request_timeout,
+                lead: self.drain_lead,
                 drain: self.drain_timeout,
             },
             jobs: self.jobs.settings(),
+            cors: self.cors_origin.clone(),
             model: ModelInfo::default(),
         }
     }
@@ -293,7 +307,16 @@ fn start_log(filter: EnvFilter, format: LogFormat) -> Result<(), CliError> {
         LogFormat::Text => log.try_init(),
         LogFormat::Json => log.json().try_init(),
     };
-    started.map_err(|e| CliError::Failed(format!("cannot start the log: {e}")))
+    started.map_err(|e| CliError::Failed(format!("cannot start the log: {e}")))?;
+    // A collector that reads JSON could not make sense of a panic's own lines.
+    std::panic::set_hook(Box::new(|panic| {
+        tracing::error!(
+            why = panic.payload_as_str(),
+            at = panic.location().map(ToString::to_string),
+            "panic"
+        );
+    }));
+    Ok(())
 }
 
 /// A duration in seconds, decimals allowed.
@@ -343,6 +366,7 @@ mod tests {
             "--head-timeout=0.5",
             "--stall-timeout=7",
             "--request-timeout=8",
+            "--drain-lead=9",
             "--drain-timeout=0",
         ]);
         let Config { limits, timeouts, .. } = args.expect("arguments").config();
@@ -351,6 +375,7 @@ mod tests {
         assert_eq!(timeouts.head, Duration::from_millis(500));
         assert_eq!(timeouts.stall, Duration::from_secs(7));
         assert_eq!(timeouts.request, Duration::from_secs(8));
+        assert_eq!(timeouts.lead, Duration::from_secs(9));
         assert_eq!(timeouts.drain, Duration::ZERO);
     }
 
