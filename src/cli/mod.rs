@@ -17,6 +17,7 @@ mod upsample;
 pub use error::CliError;
 
 use std::ffi::OsString;
+use std::io::{self, Write};
 use std::process::ExitCode;
 
 use clap::{ArgMatches, CommandFactory, FromArgMatches, Parser, Subcommand};
@@ -88,7 +89,11 @@ fn run(command: Command, matches: &ArgMatches) -> Result<(), CliError> {
         Command::Upsample(args) => upsample::run(&args),
         Command::Evaluate(args) => evaluate::run(&args),
         Command::Serve(args) if args.prints_settings() => {
-            args.check().map(|_| print!("{}", settings::page(&Arguments::command(), matches)))
+            args.check().map(|_| {
+                let page = settings::page(&Arguments::command(), matches);
+                // A reader that has seen enough is nobody's concern.
+                let _ = io::stdout().write_all(page.as_bytes());
+            })
         }
         Command::Serve(args) => serve::run(&args),
         Command::Job(args) => job::run(&args),

@@ -130,11 +130,22 @@ enum LogFormat {
 const BLOCKING_THREADS: usize = 16;
 
 pub(super) fn run(args: &ServeArgs) -> Result<(), CliError> {
-    let Checked { mut config, model, filter } = args.check()?;
+    let Checked { config, model, filter } = args.check()?;
+    if let Some(jobs) = &config.jobs {
+        std::fs::create_dir_all(&jobs.folder).map_err(|error| {
+            let folder = jobs.folder.display();
+            CliError::Usage(format!("--data-dir {folder}: {error}; give it a folder that can be written to"))
+        })?;
+    }
     start_log(filter, args.log_format)?;
     if let Some(file) = &args.settings.config {
         tracing::info!(file = %file.display(), "settings read");
     }
+    // In the log, too, where a collector finds it.
+    start(args, config, model).inspect_err(|error| tracing::error!(why = %error, "failed"))
+}
+
+fn start(args: &ServeArgs, mut config: Config, model: Arc<Model>) -> Result<(), CliError> {
     let failed = |why: &dyn std::fmt::Display| CliError::Failed(why.to_string());
     let sizes =
         EngineConfig { threads: args.engine.threads, queue_points: args.queue_points, ..Default::default() };
