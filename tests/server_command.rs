@@ -30,7 +30,11 @@ impl Serving {
     }
 
     fn start_with(options: &[&str]) -> Self {
-        let mut child = densecloud()
+        Self::start_from(densecloud(), options)
+    }
+
+    fn start_from(mut program: Command, options: &[&str]) -> Self {
+        let mut child = program
             .args(["serve", "--port", "0", "--log-format", "json", "--threads", "1"])
             .args(options)
             .stderr(Stdio::piped())
@@ -55,10 +59,14 @@ impl Serving {
 
     /// The fields of the next event with this message.
     fn wait_for(&self, message: &str) -> serde_json::Value {
+        self.wait_for_event(message)["fields"].clone()
+    }
+
+    fn wait_for_event(&self, message: &str) -> serde_json::Value {
         loop {
             let event = self.log.recv_timeout(PATIENCE).unwrap_or_else(|e| panic!("no {message:?}: {e}"));
             if event["fields"]["message"] == message {
-                return event["fields"].clone();
+                return event;
             }
         }
     }
@@ -163,12 +171,122 @@ fn a_second_signal_ends_it_at_once() {
 }
 
 #[test]
+fn between_the_signal_and_the_end_of_its_lead_it_serves_but_says_not_ready() {
+    let mut serving = Serving::start_with(&["--drain-lead", "600"]);
+    serving.signal("TERM");
+    serving.wait_for("leaving: not ready any more, still serving");
+    let agent = ureq::Agent::config_builder().http_status_as_error(false).build().new_agent();
+    assert_eq!(agent.get(serving.url("/readyz")).call().expect("an answer").status(), 503);
+    assert_eq!(agent.get(serving.url("/healthz")).call().expect("an answer").status(), 200);
+    let served = agent.post(serving.url("/upsample?ratio=2")).send(text(100).as_bytes());
+    assert_eq!(served.expect("an answer").status(), 200);
+    serving.signal("TERM");
+    assert_eq!(serving.child.wait().expect("an end").code(), Some(143), "the second signal ends it");
+    let mut serving = Serving::start_with(&["--drain-lead", "0.1"]);
+    serving.signal("INT");
+    serving.wait_for("leaving: not ready any more, still serving");
+    serving.wait_for("draining");
+    serving.wait_for("stopped");
+    assert_eq!(serving.child.wait().expect("an end").code(), Some(0));
+}
+
+#[test]
+fn a_service_manager_is_told_of_the_beginning_and_the_end() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("notify");
+    let socket = std::os::unix::net::UnixDatagram::bind(&path).expect("a socket");
+    socket.set_read_timeout(Some(PATIENCE)).expect("a timeout");
+    let told = || {
+        let mut buffer = [0; 64];
+        let length = socket.recv(&mut buffer).expect("a message");
+        String::from_utf8_lossy(&buffer[..length]).trim().to_owned()
+    };
+    let mut command = densecloud();
+    command.env("NOTIFY_SOCKET", &path);
+    let mut serving = Serving::start_from(command, &[]);
+    assert_eq!(told(), "READY=1");
+    serving.signal("TERM");
+    assert_eq!(told(), "STOPPING=1");
+    assert_eq!(serving.child.wait().expect("an end").code(), Some(0));
+}
+
+#[test]
+fn a_requests_id_is_in_its_answer_its_problem_and_the_log() {
+    let serving = Serving::start();
+    let agent = ureq::Agent::config_builder().http_status_as_error(false).build().new_agent();
+    let post = |target: &str, id: &str| {
+        let request = agent.post(serving.url(target)).header("x-request-id", id);
+        request.send(text(100).as_bytes()).expect("an answer")
+    };
+    for (target, id, status) in [
+        ("/upsample?ratio=2", "fine-1", 200),
+        ("/upsample?ratio=99", "wrong-2", 400),
+        ("/nowhere", "lost-3", 404),
+        ("/healthz", "method-4", 405),
+        ("/v2/models/densecloud/infer", "tensor-5", 400),
+        ("/jobs?ratio=2", "off-6", 501),
+    ] {
+        let mut answer = post(target, id);
+        assert_eq!(
+            (answer.status().as_u16(), &answer.headers()["x-request-id"]),
+            (status, &id.parse().expect("an id"))
+        );
+        if answer.headers()["content-type"] == "application/problem+json" {
+            let problem = answer.body_mut().read_to_string().expect("a problem");
+            assert!(problem.contains(&format!("\"request_id\":\"{id}\"")), "{problem}");
+        }
+        drop(answer);
+        // Probes leave no line.
+        if target != "/healthz" {
+            let event = serving.wait_for_event("request over");
+            assert_eq!(
+                (event["span"]["id"].as_str(), event["fields"]["status"].as_u64()),
+                (Some(id), Some(status.into()))
+            );
+            for member in ["timestamp", "level"] {
+                assert!(event[member].is_string(), "{event}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_file_sets_what_nothing_stronger_sets() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = folder.path().join("densecloud.toml");
+    // The options of every test here are given, too: a port of zero, one thread, JSON.
+    std::fs::write(&file, "max-points-in = 50\nmax-points-out = 100\nport = 1\nlog-format = \"text\"\n")
+        .expect("a file");
+    let mut command = densecloud();
+    command.env("DENSECLOUD_CONFIG", &file).env("DENSECLOUD_MAX_POINTS_OUT", "150");
+    let serving = Serving::start_from(command, &[]);
+    let agent = ureq::Agent::config_builder().http_status_as_error(false).build().new_agent();
+    let refusal = |points: usize, ratio: u32| {
+        let url = serving.url(&format!("/upsample?ratio={ratio}"));
+        let mut answer = agent.post(url).send(text(points).as_bytes()).expect("an answer");
+        answer.body_mut().read_to_string().expect("text")
+    };
+    assert!(refusal(51, 2).contains("more than 50;"), "{}", refusal(51, 2));
+    assert!(refusal(40, 4).contains("\"limit\":150"), "{}", refusal(40, 4));
+}
+
+#[test]
 fn settings_are_checked_before_a_port_is_bound() {
     for (arguments, named) in [
         (&["serve", "--max-points-in", "0"][..], "--max-points-in"),
         (&["serve", "--max-held-bytes", "5"], "--max-held-bytes"),
         (&["serve", "--log", "=loud="], "--log"),
         (&["serve", "--stall-timeout", "soon"], "--stall-timeout"),
+        (&["serve", "--no-such-option"], "--no-such-option"),
+        (&["serve", "--model", "/nowhere"], "--model"),
+        (&["serve", "--data-dir", "Cargo.toml"], "--data-dir"),
+        (&["serve", "--data-dir", "Cargo.toml/jobs"], "--data-dir"),
+        (&["serve", "--config", "/nowhere.toml"], "/nowhere.toml"),
+        (&["serve", "--config", "Cargo.toml"], "Cargo.toml:1: no setting is called `package`"),
+        (&["serve", "--cors-origin", "example.org"], "https://example.org"),
+        (&["serve", "--cors-origin", "*,https://example.org"], "--cors-origin"),
+        (&["serve", "--print-config", "--max-points-in", "0"], "--max-points-in"),
+        (&["no-such-command"], "no-such-command"),
     ] {
         let output = run(arguments);
         let stderr = String::from_utf8_lossy(&output.stderr);
@@ -181,8 +299,12 @@ fn settings_are_checked_before_a_port_is_bound() {
 fn a_port_that_is_taken_is_named() {
     let taken = std::net::TcpListener::bind("127.0.0.1:0").expect("a port");
     let port = taken.local_addr().expect("an address").port().to_string();
-    let output = run(&["serve", "--port", &port]);
+    let output = run(&["serve", "--port", &port, "--log-format", "json"]);
     let stderr = String::from_utf8_lossy(&output.stderr);
     assert_eq!(output.status.code(), Some(1), "{stderr}");
-    assert!(stderr.contains(&port) && stderr.contains("--port"), "{stderr}");
+    let events = stderr.lines().filter_map(|line| serde_json::from_str::<serde_json::Value>(line).ok());
+    let failed = events.map(|event| event["fields"].clone()).find(|fields| fields["message"] == "failed");
+    let why = failed.as_ref().and_then(|fields| fields["why"].as_str()).unwrap_or_else(|| panic!("{stderr}"));
+    assert!(why.contains(&port) && why.contains("--port"), "{why}");
+    assert!(stderr.contains(&format!("densecloud: {why}")), "people read it, too: {stderr}");
 }

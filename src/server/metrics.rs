@@ -7,6 +7,7 @@ use std::time::Duration;
 
 use metrics::{Counter, Gauge, Histogram, Key, Label, Level, Metadata, Recorder, Unit};
 use metrics_exporter_prometheus::{BuildError, PrometheusBuilder, PrometheusHandle, PrometheusRecorder};
+use metrics_process::Collector;
 
 use super::config::ModelInfo;
 use crate::jobs::State;
@@ -21,6 +22,8 @@ pub(super) struct Metrics {
     in_flight: Gauge,
     queue_points: Gauge,
     held_bytes: Gauge,
+    /// What every process tells, under the names that every one tells it.
+    process: Collector,
 }
 
 const REQUESTS: &str = "densecloud_requests_total";
@@ -98,11 +101,13 @@ impl Metrics {
             in_flight: recorder.register_gauge(&Key::from_static_name(IN_FLIGHT), &METADATA),
             queue_points: recorder.register_gauge(&Key::from_static_name(QUEUE), &METADATA),
             held_bytes: recorder.register_gauge(&Key::from_static_name(HELD), &METADATA),
+            process: Collector::default(),
             recorder,
         };
         for interface in Interface::ALL {
             metrics.requests(interface, "ok").increment(0);
         }
+        metrics::with_local_recorder(&metrics.recorder, || metrics.process.describe());
         let labels = vec![
             Label::new("model", model.name.name.clone()),
             Label::new("sha256", model.name.sha256.clone()),
@@ -141,6 +146,7 @@ impl Metrics {
     pub(super) fn render(&self, queue_points: u64, held_bytes: u64) -> String {
         self.queue_points.set(queue_points as f64);
         self.held_bytes.set(held_bytes as f64);
+        metrics::with_local_recorder(&self.recorder, || self.process.collect());
         self.handle.render()
     }
 
@@ -188,6 +194,8 @@ mod tests {
             "densecloud_requests_total{interface=\"grpc\",outcome=\"ok\"} 0",
             "densecloud_points_in_total 0",
             "densecloud_queue_points 0",
+            "# TYPE process_resident_memory_bytes gauge",
+            "# TYPE process_cpu_seconds_total counter",
             "densecloud_model_info{model=\"default\",sha256=\"ab12\",provider=\"cpu\"} 1",
         ] {
             assert!(page.lines().any(|l| l == line), "{line} is missing in\n{page}");
@@ -224,8 +232,11 @@ mod tests {
         metrics.stage("units", Duration::ZERO);
         metrics.jobs(&[(State::Queued, 1)]);
         let page = metrics.render(0, 0);
-        let names: Vec<_> =
-            page.lines().filter_map(|line| line.strip_prefix("# TYPE ")?.split(' ').next()).collect();
+        let names: Vec<_> = page
+            .lines()
+            .filter(|line| line.contains(" densecloud_"))
+            .filter_map(|line| line.strip_prefix("# TYPE ")?.split(' ').next())
+            .collect();
         assert_eq!(names.len(), 10, "{names:?}");
         for name in names {
             assert!(manual.contains(&format!("`{name}`")), "{name} is not in the manual");

@@ -15,6 +15,7 @@
 //! | `query`, `upload`, `decode`, `download` | its parts: parameters, the body in, what compresses it, the body out |
 //! | `problem` | every failure, its status and its words: the one table |
 //! | `openapi` | the interface described, for programs and for people |
+//! | `cors` | pages from other sites |
 //! | `config`, `budget`, `readiness`, `metrics`, `request_id` | one noun each |
 //!
 //! Invariants: nothing blocks the async threads; no wait is without a deadline; memory grows with
@@ -27,6 +28,7 @@ mod activity;
 mod app;
 mod budget;
 mod config;
+mod cors;
 mod decode;
 mod download;
 mod grpc;
@@ -49,12 +51,14 @@ mod upsample;
 use std::sync::Arc;
 use std::time::Duration;
 
+use sd_notify::NotifyState;
 use tokio::net::TcpListener;
 use tokio::sync::watch;
 use tokio::task::{JoinSet, spawn_blocking};
-use tokio::time::{Instant, interval, timeout_at};
+use tokio::time::{Instant, interval, sleep, timeout_at};
 
 pub use config::{Config, ConfigError, Limits, ModelInfo, Timeouts};
+pub use cors::CorsOrigin;
 
 use crate::engine::{Engine, EngineError};
 use crate::jobs::{Jobs, StoreError};
@@ -89,8 +93,9 @@ const FOLD: Duration = Duration::from_secs(5);
 /// [`Timeouts::drain`].
 ///
 /// Connections are taken at once; `/readyz` tells when the model has warmed up. After `shutdown`,
-/// `/readyz` says so first, new work is refused with 503, and probes are still answered until the
-/// last request is over. What is not over by the deadline is cancelled.
+/// `/readyz` says so first; after [`Timeouts::lead`], new work is refused with 503, and probes are
+/// still answered until the last request is over. What is not over by the deadline is cancelled.
+/// A service manager that waits to be told (systemd's `Type=notify`) is told of both ends.
 ///
 /// # Errors
 /// See [`ServeError`].
@@ -110,6 +115,7 @@ pub async fn run(
             Ok(Ok(())) => {
                 tracing::info!(seconds = start.elapsed().as_secs_f64(), "ready");
                 app.readiness.ready();
+                tell_manager(NotifyState::Ready);
                 if let Err(error) = jobs_work::start(&app) {
                     return internal(&error);
                 }
@@ -172,6 +178,13 @@ async fn join_jobs(app: &App, deadline: Instant) {
 /// that.
 async fn drain(app: &App, shutdown: impl Future<Output = ()>, close: &watch::Sender<bool>) -> Instant {
     shutdown.await;
+    tell_manager(NotifyState::Stopping);
+    let lead = app.config.timeouts.lead;
+    // Who was never told that it is ready sends nothing yet.
+    if app.readiness.leave() && !lead.is_zero() {
+        tracing::info!(seconds = lead.as_secs_f64(), "leaving: not ready any more, still serving");
+        sleep(lead).await;
+    }
     app.readiness.drain();
     stop_jobs(app).await;
     let mut in_flight = app.in_flight.subscribe();
@@ -182,6 +195,13 @@ async fn drain(app: &App, shutdown: impl Future<Output = ()>, close: &watch::Sen
     }
     close.send_replace(true);
     deadline
+}
+
+/// Without effect where no manager waits.
+fn tell_manager(state: NotifyState<'_>) {
+    if let Err(error) = sd_notify::notify(&[state]) {
+        tracing::warn!(%error, "the service manager cannot be told");
+    }
 }
 
 /// Lets connections send what they still buffer, and drops those that take longer.

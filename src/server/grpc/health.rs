@@ -30,7 +30,7 @@ impl Health {
 
 fn status(app: &App, service: &str) -> ServingStatus {
     match service {
-        "" | SERVICE if app.readiness.check().is_ok() => ServingStatus::Serving,
+        "" | SERVICE if app.readiness.probe().is_ok() => ServingStatus::Serving,
         "" | SERVICE => ServingStatus::NotServing,
         _ => ServingStatus::ServiceUnknown,
     }

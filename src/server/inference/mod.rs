@@ -81,13 +81,13 @@ fn check_model(Path(named): &Named) -> Result<(), Problem> {
 }
 
 async fn ready(State(app): State<Arc<App>>) -> Result<impl IntoResponse, Problem> {
-    app.readiness.check()?;
+    app.readiness.probe()?;
     Ok(Json(serde_json::json!({ "ready": true })))
 }
 
 async fn model_ready(State(app): State<Arc<App>>, named: Named) -> Result<impl IntoResponse, Problem> {
     check_model(&named)?;
-    app.readiness.check()?;
+    app.readiness.probe()?;
     Ok(Json(serde_json::json!({ "name": MODEL, "ready": true })))
 }
 
