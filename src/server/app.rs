@@ -16,7 +16,7 @@ use super::config::Config;
 use super::metrics::Metrics;
 use super::problem::Problem;
 use super::readiness::Readiness;
-use super::{inference, jobs, jobs_events, jobs_result, openapi, record, upsample};
+use super::{compress, inference, jobs, jobs_events, jobs_result, openapi, record, upsample};
 use crate::engine::Engine;
 use crate::jobs::Jobs;
 
@@ -83,6 +83,7 @@ pub(super) fn router(app: Arc<App>) -> Router {
         .merge(inference::routes())
         .fallback(|| async { Problem::NotFound })
         .method_not_allowed_fallback(|| async { Problem::MethodNotAllowed })
+        .layer(middleware::from_fn_with_state(Arc::clone(&app), compress::compress))
         .layer(middleware::from_fn_with_state(Arc::clone(&app), record::record))
         .with_state(app)
 }

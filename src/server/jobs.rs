@@ -14,6 +14,7 @@ use tokio::time::timeout;
 use super::accepted::accepted;
 use super::app::App;
 use super::budget::Held;
+use super::form::Asking;
 use super::jobs_document::Document;
 use super::jobs_work::Asked;
 use super::problem::Problem;
@@ -79,11 +80,10 @@ async fn take(
 ) -> Result<Response, Problem> {
     app.jobs()?;
     app.readiness.check()?;
-    let parameters = Parameters::parse(uri)?;
     let wanted = accepted(headers)?;
     let key = idempotency_key(headers)?;
-    let asked = Asked::of(uri, headers);
-    let received = upload.receive(headers, app, &parameters).await?;
+    let Asking { parameters, query, received } = Asking::receive(upload, uri, headers, app).await?;
+    let asked = Asked::of(query, headers);
     let (shared, id) = (Arc::clone(app), id.as_str().to_owned());
     let (submitted, document) = ask(app, move |jobs| {
         let (job, _held) = new_job(&shared, received, &parameters, wanted, &asked)?;

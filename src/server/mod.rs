@@ -11,7 +11,8 @@
 //! | `inference` | the same work as tensors in JSON or binary: the Open Inference Protocol |
 //! | `jobs`, `jobs_document`, `jobs_result`, `jobs_events` | jobs: taking, telling, sending, watching |
 //! | `jobs_work` | what a job is about, for the threads that run it |
-//! | `query`, `upload`, `decode`, `download` | its parts: parameters, the body in, what compresses it, the body out |
+//! | `compress` | around answers: gzip or zstd, where the client asks for it |
+//! | `query`, `form`, `upload`, `decode`, `download` | its parts: parameters, forms, the body in, what compresses it, the body out |
 //! | `problem` | every failure, its status and its words: the one table |
 //! | `openapi` | the interface described, for programs and for people |
 //! | `config`, `budget`, `readiness`, `metrics`, `request_id` | one noun each |
@@ -25,9 +26,11 @@ mod accepted;
 mod activity;
 mod app;
 mod budget;
+mod compress;
 mod config;
 mod decode;
 mod download;
+mod form;
 mod inference;
 mod jobs;
 mod jobs_document;
