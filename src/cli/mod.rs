@@ -8,10 +8,12 @@ mod evaluate;
 mod files;
 mod inspect;
 mod job;
+mod remote;
 mod render;
 mod sample;
 mod serve;
 mod upsample;
+mod upsample_remote;
 
 pub use error::CliError;
 
