@@ -42,7 +42,7 @@ fn wait_for(server: &Server, path: &str, wanted: &str) -> Value {
 }
 
 impl Server {
-    fn ask(&self, method: &str, target: &str, headers: &str, body: &[u8]) -> Reply {
+    pub(crate) fn ask(&self, method: &str, target: &str, headers: &str, body: &[u8]) -> Reply {
         let mut client = self.connect();
         let length = body.len();
         client.send(
