@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use axum::Json;
 use axum::body::Body;
-use axum::extract::{Extension, Path, Query, State};
+use axum::extract::{Extension, Path, State};
 use axum::http::{HeaderMap, HeaderValue, StatusCode, Uri, header};
 use axum::response::{IntoResponse, Response};
 use serde::Serialize;
@@ -18,7 +18,7 @@ use super::form::Asking;
 use super::jobs_document::Document;
 use super::jobs_work::Asked;
 use super::problem::Problem;
-use super::query::Parameters;
+use super::query::{self, Parameters};
 use super::request_id::RequestId;
 use super::upload::{Received, Upload};
 use super::upsample::{Order, prepare};
@@ -189,13 +189,18 @@ pub(super) async fn list(State(app): State<Arc<App>>, uri: Uri) -> Result<Json<P
 }
 
 fn page_of(uri: &Uri) -> Result<(Option<i64>, u32), Problem> {
-    let Query(pairs) = Query::<Vec<(String, String)>>::try_from_uri(uri)
-        .map_err(|error| Problem::parameter("query", error.to_string()))?;
     let (mut before, mut limit) = (None, PAGE);
-    for (name, value) in &pairs {
+    let pairs = query::pairs(uri)?;
+    for (i, (name, value)) in pairs.iter().enumerate() {
+        if pairs[..i].iter().any(|(earlier, _)| earlier == name) {
+            return Err(Problem::parameter(name, "given twice".into()));
+        }
         let wrong = |what: String| Problem::parameter(name, format!("{value:?} is not {what}"));
         match name.as_str() {
-            "before" => before = Some(value.parse().map_err(|_| wrong("a number of a job".into()))?),
+            "before" => match value.parse() {
+                Ok(number) if number > 0 => before = Some(number),
+                _ => return Err(wrong("a number of a job".into())),
+            },
             "limit" => match value.parse() {
                 Ok(number) if (1..=LONGEST_PAGE).contains(&number) => limit = number,
                 _ => return Err(wrong(format!("a number from 1 to {LONGEST_PAGE}"))),

@@ -203,7 +203,7 @@ fn jobs_are_listed_in_pages_the_newest_first() {
         }
     }
     assert_eq!(listed, paths);
-    for query in ["limit=0", "limit=101", "before=x", "size=3"] {
+    for query in ["limit=0", "limit=101", "before=x", "before=0", "size=3", "limit=2&limit=2"] {
         assert_eq!(server.get(&format!("/jobs?{query}")).problem_name(), "invalid-parameter", "{query}");
     }
 }
