@@ -103,7 +103,7 @@ impl Server {
             if let Some(length) = length {
                 request = request.header(header::CONTENT_LENGTH, length.to_string());
             }
-            let bar = show.bar(length, "upload");
+            let bar = show.bar(length, UPLOAD);
             let mut reader = Shown { inner: &mut source, bar: &bar };
             let answer = request.send(SendBody::from_reader(&mut reader)).map_err(|e| self.failed(&e));
             bar.finish_and_clear();
@@ -241,6 +241,8 @@ impl Show {
     }
 }
 
+const UPLOAD: &str = "upload";
+
 /// Counts what is read on a bar.
 struct Shown<'a, R> {
     inner: &'a mut R,
@@ -251,7 +253,8 @@ impl<R: Read> Read for Shown<'_, R> {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         let count = self.inner.read(buffer)?;
         self.bar.inc(count as u64);
-        if count == 0 || self.bar.length() == Some(self.bar.position()) {
+        let sent = count == 0 || self.bar.length() == Some(self.bar.position());
+        if sent && self.bar.message() == UPLOAD {
             self.bar.set_message("waiting for the server");
         }
         Ok(count)
