@@ -2,6 +2,7 @@
 # Formats and the server against other programs: files that they write are read here, and files written here by
 # them; Triton's client, a browser and schemathesis talk to the server.
 # Their packages come from PyPI into .venv-interop at the repository root, about 2 GB, the first time.
+# The page is tested where a Chromium or Chrome is installed (`apt-get install chromium`; CHROMIUM names another).
 #
 #     sh tests/interop/run.sh [arguments of pytest]
 set -eu
