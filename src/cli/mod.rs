@@ -8,11 +8,13 @@ mod evaluate;
 mod files;
 mod inspect;
 mod job;
+mod remote;
 mod render;
 mod sample;
 mod serve;
 mod settings;
 mod upsample;
+mod upsample_remote;
 
 pub use error::CliError;
 

@@ -16,7 +16,7 @@ use super::config::Config;
 use super::metrics::Metrics;
 use super::problem::Problem;
 use super::readiness::Readiness;
-use super::{cors, grpc, inference, jobs, jobs_events, jobs_result, openapi, record, upsample};
+use super::{compress, cors, grpc, inference, jobs, jobs_events, jobs_result, openapi, record, upsample};
 use crate::engine::Engine;
 use crate::jobs::Jobs;
 
@@ -83,7 +83,8 @@ pub(super) fn router(app: Arc<App>) -> Router {
         .merge(inference::routes())
         .merge(grpc::routes(&app))
         .fallback(|| async { Problem::NotFound })
-        .method_not_allowed_fallback(|| async { Problem::MethodNotAllowed });
+        .method_not_allowed_fallback(|| async { Problem::MethodNotAllowed })
+        .layer(middleware::from_fn_with_state(Arc::clone(&app), compress::compress));
     let routes = match cors::layer(&app.config.cors) {
         Some(cors) => routes.layer(cors),
         None => routes,

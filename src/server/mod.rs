@@ -12,7 +12,8 @@
 //! | `grpc` | the same work in messages, on the same port; health and reflection |
 //! | `jobs`, `jobs_document`, `jobs_result`, `jobs_events` | jobs: taking, telling, sending, watching |
 //! | `jobs_work` | what a job is about, for the threads that run it |
-//! | `query`, `upload`, `decode`, `download` | its parts: parameters, the body in, what compresses it, the body out |
+//! | `compress` | around answers: gzip or zstd, where the client asks for it |
+//! | `query`, `form`, `upload`, `decode`, `download` | its parts: parameters, forms, the body in, what compresses it, the body out |
 //! | `problem` | every failure, its status and its words: the one table |
 //! | `openapi` | the interface described, for programs and for people |
 //! | `cors` | pages from other sites |
@@ -27,10 +28,12 @@ mod accepted;
 mod activity;
 mod app;
 mod budget;
+mod compress;
 mod config;
 mod cors;
 mod decode;
 mod download;
+mod form;
 mod grpc;
 mod inference;
 mod jobs;

@@ -105,7 +105,9 @@ pub(super) enum Problem {
         wanted: String,
     },
     /// The body is compressed in a way that is not read.
-    #[error("Content-Encoding {0:?} is not supported; there are gzip and deflate, or send the body as it is")]
+    #[error(
+        "Content-Encoding {0:?} is not supported; there are gzip, deflate and zstd, or send the body as it is"
+    )]
     UnsupportedEncoding(String),
     /// A readable cloud that cannot be upsampled: too few points, all equal.
     #[error("{0}")]

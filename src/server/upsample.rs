@@ -16,7 +16,9 @@ use tokio::time::timeout;
 use super::accepted::accepted;
 use super::app::App;
 use super::budget::Held;
+use super::compress::AsIs;
 use super::download::{self, Dense, result_bytes};
+use super::form::Asking;
 use super::problem::Problem;
 use super::query::{self, Parameters};
 use super::record::Points;
@@ -51,9 +53,8 @@ async fn answer(
     upload: &mut Upload,
 ) -> Result<Response, Problem> {
     app.readiness.check()?;
-    let parameters = Parameters::parse(uri)?;
     let wanted = accepted(headers)?;
-    let received = upload.receive(headers, app, &parameters).await?;
+    let Asking { parameters, received, .. } = Asking::receive(upload, uri, headers, app).await?;
     let took = received.took;
     let read = move |app: &App| Ok((Order::read(app, &received, parameters, wanted)?, ()));
     let (done, ()) = run(app, took, read, |_| {}).await?;
@@ -63,8 +64,13 @@ async fn answer(
     if let Some(length) = length {
         headers.insert(header::CONTENT_LENGTH, length.into());
     }
+    let packed = done.about.packed;
     let body = download::body(done.dense, done.format, done.held);
-    Ok((headers, Extension(points), body).into_response())
+    let mut response = (headers, Extension(points), body).into_response();
+    if packed {
+        response.extensions_mut().insert(AsIs);
+    }
+    Ok(response)
 }
 
 /// A cloud, and what is wanted of it.
@@ -156,6 +162,9 @@ pub(super) struct About {
     pub(super) provenance: String,
     /// What its sender should know about how the cloud was read and made dense.
     pub(super) warnings: Vec<String>,
+    /// Whether its format is compressed in itself; false of jobs from before this was kept.
+    #[serde(default)]
+    pub(super) packed: bool,
 }
 
 impl About {
@@ -249,7 +258,8 @@ pub(super) fn prepare(app: &App, order: Order) -> Result<Prepared, Problem> {
     let provenance = provenance::line(&app.config.model.name, &request);
     origin.comments.push(provenance.clone());
     let media_type = format.media_type().to_owned();
-    let about = About { media_type, points_in, points_out: points, provenance, warnings };
+    let packed = format.is_packed();
+    let about = About { media_type, points_in, points_out: points, provenance, warnings, packed };
     Ok(Prepared { request, room, format, origin, about })
 }
 

@@ -4,6 +4,8 @@
 
 mod answers;
 mod cors;
+mod encodings;
+mod forms;
 mod grpc;
 mod inference;
 mod jobs;
