@@ -3,6 +3,8 @@
 #![allow(clippy::unwrap_used, reason = "in a test, a panic is how a failure is told")]
 
 mod answers;
+mod departures;
+mod faults;
 mod inference;
 mod jobs;
 mod lifecycle;
