@@ -123,7 +123,7 @@ const COLUMNS: &str = "number, id, state, request, request_id, points_in, points
                        started, finished, result, failure";
 
 /// How long a statement waits for another program that has the database for itself, which no backup does.
-const BUSY: Duration = Duration::from_secs(2);
+const BUSY: Duration = Duration::from_millis(500);
 
 impl Store {
     /// Opens the folder, made where it is missing, for jobs that together may take `disk` bytes. Jobs that
