@@ -187,6 +187,9 @@ pub(super) enum Problem {
         /// What they may take.
         limit: u64,
     },
+    /// Another program has the jobs' database for itself.
+    #[error("another program has locked the jobs' database; nothing was changed, try again")]
+    JobsBusy,
     /// The disk is full.
     #[error("the disk is full: {0}; make room there, or give --data-dir a folder elsewhere")]
     DiskFull(String),
@@ -362,6 +365,7 @@ impl Problem {
                 "Jobs take all the disk they may",
                 Some("--job-disk"),
             ),
+            Self::JobsBusy => (S::SERVICE_UNAVAILABLE, "jobs-busy", "The jobs' database is locked", None),
             Self::DiskFull(_) => {
                 (S::INSUFFICIENT_STORAGE, "disk-full", "The disk is full", Some("--data-dir"))
             }
@@ -396,7 +400,7 @@ impl Problem {
     fn retry_after(&self) -> Option<Duration> {
         match self {
             Self::QueueFull { retry_after, .. } => Some(*retry_after),
-            Self::WarmingUp | Self::Draining | Self::HeldFull { .. } => Some(SOON),
+            Self::WarmingUp | Self::Draining | Self::HeldFull { .. } | Self::JobsBusy => Some(SOON),
             _ => None,
         }
     }
@@ -563,6 +567,7 @@ pub(super) fn every_problem() -> Vec<(Problem, u16, &'static str)> {
         (Problem::KeyReused, 422, "idempotency-key-reused"),
         (Problem::Range { length: 5 }, 416, "range-not-satisfiable"),
         (Problem::JobDisk { used: 5, wanted: 1, limit: 5 }, 507, "job-disk-full"),
+        (Problem::JobsBusy, 503, "jobs-busy"),
         (Problem::DiskFull("x".into()), 507, "disk-full"),
         (Problem::GaveUp { attempts: 3 }, 500, "job-gave-up"),
         (Problem::Internal("secret".into()), 500, "internal"),

@@ -4,7 +4,9 @@
 
 mod answers;
 mod cors;
+mod departures;
 mod encodings;
+mod faults;
 mod forms;
 mod grpc;
 mod inference;
