@@ -87,7 +87,7 @@ def test_what_is_wrong_is_said(page, tmp_path):
     source.write_text("1 2 3\n4 five 6\n")
     page.set_input_files("#file", source)
     page.click("button")
-    page.wait_for_function("document.querySelector('#result').innerText.includes('line 2')")
+    page.locator("#result", has_text="line 2").wait_for()
     assert "400" in page.inner_text("#result")
     assert page.is_enabled("button")
 
