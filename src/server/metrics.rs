@@ -9,6 +9,7 @@ use metrics::{Counter, Gauge, Histogram, Key, Label, Level, Metadata, Recorder, 
 use metrics_exporter_prometheus::{BuildError, PrometheusBuilder, PrometheusHandle, PrometheusRecorder};
 
 use super::config::ModelInfo;
+use crate::engine::Engine;
 use crate::jobs::State;
 
 /// The figures of one server. All names, in one place.
@@ -20,7 +21,12 @@ pub(super) struct Metrics {
     points_out: Counter,
     in_flight: Gauge,
     queue_points: Gauge,
+    backlog: Gauge,
+    memory: Gauge,
     held_bytes: Gauge,
+    admitted: Counter,
+    estimated: Histogram,
+    worked: Histogram,
 }
 
 const REQUESTS: &str = "densecloud_requests_total";
@@ -30,6 +36,12 @@ const POINTS_IN: &str = "densecloud_points_in_total";
 const POINTS_OUT: &str = "densecloud_points_out_total";
 const IN_FLIGHT: &str = "densecloud_requests_in_flight";
 const QUEUE: &str = "densecloud_queue_points";
+const BACKLOG: &str = "densecloud_backlog_seconds";
+const MEMORY: &str = "densecloud_work_memory_bytes";
+const ADMITTED: &str = "densecloud_admitted_total";
+const REFUSED: &str = "densecloud_refused_total";
+const ESTIMATED: &str = "densecloud_work_estimated_seconds";
+const WORKED: &str = "densecloud_work_seconds";
 const HELD: &str = "densecloud_held_bytes";
 const JOBS: &str = "densecloud_jobs";
 const MODEL: &str = "densecloud_model_info";
@@ -54,18 +66,24 @@ impl Metrics {
             (REQUESTS, None, "Requests answered, by interface and outcome; cancelled: the client left"),
             (POINTS_IN, None, "Points read from the clouds of answered requests"),
             (POINTS_OUT, None, "Points in the results of answered requests"),
+            (ADMITTED, None, "Requests for which points of the queue were taken"),
+            (REFUSED, None, "Requests for which none were, by the end of the problem's type"),
         ] {
             recorder.describe_counter(name.into(), unit, text.into());
         }
         for (name, unit, text) in [
             (DURATION, Unit::Seconds, "From a request's head to the last byte of its response"),
+            (ESTIMATED, Unit::Seconds, "What finished work was expected to take, alone on the machine"),
+            (WORKED, Unit::Seconds, "What it took, without the time that other work had"),
             (STAGE, Unit::Seconds, "Work on one request, by stage; upload includes waiting for the client"),
         ] {
             recorder.describe_histogram(name.into(), Some(unit), text.into());
         }
         for (name, unit, text) in [
             (IN_FLIGHT, None, "Requests whose response is not over"),
-            (QUEUE, None, "Points queued or being worked on"),
+            (QUEUE, None, "Points reserved, queued or being worked on"),
+            (BACKLOG, Some(Unit::Seconds), "How long all that is admitted will take"),
+            (MEMORY, Some(Unit::Bytes), "Memory that the work at hand takes, as estimated"),
             (HELD, Some(Unit::Bytes), "Uploads not yet parsed and results not yet sent"),
             (JOBS, None, "Jobs that are kept, by state"),
             (MODEL, None, "The model that answers; always 1"),
@@ -79,6 +97,11 @@ impl Metrics {
             points_out: recorder.register_counter(&Key::from_static_name(POINTS_OUT), &METADATA),
             in_flight: recorder.register_gauge(&Key::from_static_name(IN_FLIGHT), &METADATA),
             queue_points: recorder.register_gauge(&Key::from_static_name(QUEUE), &METADATA),
+            backlog: recorder.register_gauge(&Key::from_static_name(BACKLOG), &METADATA),
+            memory: recorder.register_gauge(&Key::from_static_name(MEMORY), &METADATA),
+            admitted: recorder.register_counter(&Key::from_static_name(ADMITTED), &METADATA),
+            estimated: recorder.register_histogram(&Key::from_static_name(ESTIMATED), &METADATA),
+            worked: recorder.register_histogram(&Key::from_static_name(WORKED), &METADATA),
             held_bytes: recorder.register_gauge(&Key::from_static_name(HELD), &METADATA),
             recorder,
         };
@@ -117,9 +140,28 @@ impl Metrics {
         self.points_out.increment(points_out);
     }
 
-    /// The page, with what the engine's queue and the requests hold at the moment.
-    pub(super) fn render(&self, queue_points: u64, held_bytes: u64) -> String {
-        self.queue_points.set(queue_points as f64);
+    /// Points of the queue were taken for a request.
+    pub(super) fn admitted(&self) {
+        self.admitted.increment(1);
+    }
+
+    /// None were, because of a problem of this name.
+    pub(super) fn refused(&self, reason: &'static str) {
+        let key = Key::from_parts(REFUSED, vec![Label::from_static_parts("reason", reason)]);
+        self.recorder.register_counter(&key, &METADATA).increment(1);
+    }
+
+    /// Work is done that was estimated to take so long, and took so long.
+    pub(super) fn worked(&self, estimate: Duration, took: Duration) {
+        self.estimated.record(estimate);
+        self.worked.record(took);
+    }
+
+    /// The page, with what the engine and the requests hold at the moment.
+    pub(super) fn render(&self, engine: &Engine, held_bytes: u64) -> String {
+        self.queue_points.set(engine.queued_points() as f64);
+        self.backlog.set(engine.backlog().as_secs_f64());
+        self.memory.set(engine.memory() as f64);
         self.held_bytes.set(held_bytes as f64);
         self.handle.render()
     }
@@ -153,7 +195,12 @@ impl std::fmt::Debug for Metrics {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::backend::ModelName;
+    use crate::backend::{Fake, ModelName};
+    use crate::engine::EngineConfig;
+
+    fn idle() -> Engine {
+        Engine::with_backend(std::sync::Arc::new(Fake::new()), EngineConfig::default()).expect("an engine")
+    }
 
     #[test]
     fn the_page_has_every_series_from_the_start_and_counts_what_happens() {
@@ -162,7 +209,7 @@ mod tests {
             provider: "cpu".into(),
         };
         let metrics = Metrics::new(&model).expect("metrics");
-        let page = metrics.render(0, 0);
+        let page = metrics.render(&idle(), 0);
         for line in [
             "densecloud_requests_total{interface=\"http\",outcome=\"ok\"} 0",
             "densecloud_points_in_total 0",
@@ -176,7 +223,10 @@ mod tests {
         metrics.ended("ok", Duration::from_millis(20));
         metrics.stage("units", Duration::from_secs(2));
         metrics.points(10, 40);
-        let page = metrics.render(7, 99);
+        metrics.admitted();
+        metrics.refused("queue-full");
+        metrics.worked(Duration::from_millis(1), Duration::from_millis(2));
+        let page = metrics.render(&idle(), 99);
         for line in [
             "densecloud_requests_total{interface=\"http\",outcome=\"ok\"} 1",
             "densecloud_request_duration_seconds_bucket{interface=\"http\",le=\"0.01\"} 0",
@@ -185,7 +235,9 @@ mod tests {
             "densecloud_requests_in_flight 1",
             "densecloud_points_in_total 10",
             "densecloud_points_out_total 40",
-            "densecloud_queue_points 7",
+            "densecloud_refused_total{reason=\"queue-full\"} 1",
+            "densecloud_admitted_total 1",
+            "densecloud_work_seconds_sum 0.002",
             "densecloud_held_bytes 99",
         ] {
             assert!(page.lines().any(|l| l == line), "{line} is missing in\n{page}");
@@ -199,10 +251,12 @@ mod tests {
         metrics.ended("ok", Duration::ZERO);
         metrics.stage("units", Duration::ZERO);
         metrics.jobs(&[(State::Queued, 1)]);
-        let page = metrics.render(0, 0);
+        metrics.refused("queue-full");
+        metrics.worked(Duration::ZERO, Duration::ZERO);
+        let page = metrics.render(&idle(), 0);
         let names: Vec<_> =
             page.lines().filter_map(|line| line.strip_prefix("# TYPE ")?.split(' ').next()).collect();
-        assert_eq!(names.len(), 10, "{names:?}");
+        assert_eq!(names.len(), 16, "{names:?}");
         for name in names {
             assert!(manual.contains(&format!("`{name}`")), "{name} is not in the manual");
         }
@@ -213,7 +267,7 @@ mod tests {
         let one = Metrics::new(&ModelInfo::default()).expect("metrics");
         let other = Metrics::new(&ModelInfo::default()).expect("metrics");
         one.points(1, 2);
-        assert!(one.render(0, 0).contains("densecloud_points_in_total 1"));
-        assert!(other.render(0, 0).contains("densecloud_points_in_total 0"));
+        assert!(one.render(&idle(), 0).contains("densecloud_points_in_total 1"));
+        assert!(other.render(&idle(), 0).contains("densecloud_points_in_total 0"));
     }
 }

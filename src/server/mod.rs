@@ -14,6 +14,8 @@
 //! | `query`, `upload`, `decode`, `download` | its parts: parameters, the body in, what compresses it, the body out |
 //! | `problem` | every failure, its status and its words: the one table |
 //! | `openapi` | the interface described, for programs and for people |
+//! | `client`, `keys` | who asks |
+//! | `ticket`, `deadline` | what a request has been promised: points, and until when |
 //! | `config`, `budget`, `readiness`, `metrics`, `request_id` | one noun each |
 //!
 //! Invariants: nothing blocks the async threads; no wait is without a deadline; memory grows with
@@ -25,7 +27,9 @@ mod accepted;
 mod activity;
 mod app;
 mod budget;
+mod client;
 mod config;
+mod deadline;
 mod decode;
 mod download;
 mod inference;
@@ -34,6 +38,7 @@ mod jobs_document;
 mod jobs_events;
 mod jobs_result;
 mod jobs_work;
+mod keys;
 mod metrics;
 mod openapi;
 mod problem;
@@ -41,6 +46,7 @@ mod query;
 mod readiness;
 mod record;
 mod request_id;
+mod ticket;
 mod upload;
 mod upsample;
 
@@ -52,6 +58,8 @@ use tokio::sync::watch;
 use tokio::task::{JoinSet, spawn_blocking};
 use tokio::time::{Instant, interval, timeout_at};
 
+pub use client::Access;
+pub use keys::{Keys, KeysError};
 pub use config::{Config, ConfigError, Limits, ModelInfo, Timeouts};
 
 use crate::engine::{Engine, EngineError};

@@ -11,7 +11,6 @@ use super::app::App;
 use super::budget::Held;
 use super::decode::{Coding, Decoder, Refusal};
 use super::problem::Problem;
-use super::query::Parameters;
 use crate::cloud::Cloud;
 use crate::formats::{CloudReader, Format, FormatError, Limits};
 
@@ -45,23 +44,24 @@ impl Upload {
         Self { body, waits: headers.contains_key(header::EXPECT) }
     }
 
-    /// Reads the body to its end. Memory grows with what arrives, not with what is claimed.
+    /// Reads the body to its end. Memory grows with what arrives, not with what is claimed. `known` hears
+    /// the points in as soon as the file's header tells them, where it does.
     ///
     /// # Errors
-    /// The body is compressed in an unknown way, too large, stalls or breaks off; its header claims too much, for the
-    /// input or for the result; or its beginning is in no known format. All but the end of the body
+    /// The body is compressed in an unknown way, too large, stalls or breaks off; its header claims too much; `known`
+    /// refuses; or its beginning is in no known format. All but the end of the body
     /// are noticed while it arrives.
     pub(super) async fn receive(
         &mut self,
         headers: &HeaderMap,
         app: &App,
-        parameters: &Parameters,
+        mut known: impl FnMut(u64) -> Result<(), Problem>,
     ) -> Result<Received, Problem> {
         let mut header_seen = false;
         let judge = |bytes: &[u8], new| {
             if !header_seen && header_is_there(bytes, new) {
                 header_seen = true;
-                check_header(bytes, app, parameters)?;
+                check_header(bytes, app, &mut known)?;
             }
             Ok(())
         };
@@ -192,12 +192,13 @@ fn header_is_there(bytes: &[u8], new: usize) -> bool {
 }
 
 /// Refuses from the first bytes alone what could only be refused later.
-fn check_header(bytes: &[u8], app: &App, parameters: &Parameters) -> Result<(), Problem> {
+fn check_header(
+    bytes: &[u8],
+    app: &App,
+    known: &mut impl FnMut(u64) -> Result<(), Problem>,
+) -> Result<(), Problem> {
     match CloudReader::open(bytes, reader_limits(app)) {
-        Ok(reader) => reader
-            .header()
-            .points
-            .map_or(Ok(()), |points| app.check_points(points, parameters.points_out(points))),
+        Ok(reader) => reader.header().points.map_or(Ok(()), known),
         // Text is cut off somewhere here, so only the whole of it can be judged.
         Err(FormatError::Malformed { .. } | FormatError::Truncated { .. } | FormatError::Empty(_))
             if !is_ply(bytes) =>
