@@ -40,7 +40,7 @@ mod tests {
     fn work_has_what_uploads_and_results_leave_and_half_at_least() {
         const GIB: u64 = 1 << 30;
         assert_eq!(for_work(None, GIB), u64::MAX);
-        assert_eq!(for_work(Some(22 * GIB), 2 * GIB) / GIB, 17);
+        assert_eq!(for_work(Some(22 * GIB), 2 * GIB) / GIB, 18);
         assert_eq!(for_work(Some(2 * GIB), 2 * GIB), GIB);
         assert_eq!(meminfo("MemTotal: 9 kB\nMemAvailable:    8123 kB\n"), Some(8123 * 1024));
         assert_eq!(meminfo("MemTotal: 9 kB\n"), None);

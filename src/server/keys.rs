@@ -11,7 +11,6 @@ use std::path::Path;
 use sha2::{Digest, Sha256};
 use subtle::ConstantTimeEq;
 
-use crate::provenance::hexadecimal;
 
 /// All keys that a server knows.
 #[derive(Clone, PartialEq, Eq)]
@@ -145,9 +144,9 @@ fn readable_by_all(path: &Path) -> io::Result<bool> {
 }
 
 /// The form of a key that a file may have in its place.
-#[must_use]
-pub fn hashed(key: &str) -> String {
-    format!("sha256:{}", hexadecimal(&Sha256::digest(key)))
+#[cfg(test)]
+pub(super) fn hashed(key: &str) -> String {
+    format!("sha256:{}", crate::provenance::hexadecimal(&Sha256::digest(key)))
 }
 
 #[cfg(test)]

@@ -140,7 +140,7 @@ fn a_client_that_sends_on_still_finds_the_refusal() {
 #[test]
 fn a_full_queue_says_when_to_come_back_and_takes_work_again() {
     let backend = Scripted::new();
-    let sizes = EngineConfig { threads: 2, queue_points: 500, ..Default::default() };
+    let sizes = EngineConfig { threads: 2, queue_points: 500, client_points: 500, ..Default::default() };
     let server = Server::start_cold(&backend, sizes, Config::default());
     server.wait_for_ready();
     backend.shut();
