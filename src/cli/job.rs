@@ -8,7 +8,8 @@ use std::time::Duration;
 use clap::{ArgGroup, Args, Subcommand};
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::Value;
-use ureq::http::Response;
+use ureq::http::{HeaderValue, Request, Response, header};
+use ureq::middleware::MiddlewareNext;
 use ureq::{Agent, Body, SendBody};
 
 use super::{CliError, files};
@@ -30,6 +31,10 @@ pub(super) struct JobArgs {
         default_value = "http://127.0.0.1:8080"
     )]
     server: String,
+
+    /// Key to show, where the server has --keys
+    #[arg(long, global = true, env = "DENSECLOUD_API_KEY", value_name = "KEY", hide_env_values = true)]
+    api_key: Option<String>,
 
     #[command(subcommand)]
     command: JobCommand,
@@ -145,7 +150,7 @@ pub(super) fn run(args: &JobArgs) -> Result<(), CliError> {
     let server = Server {
         base: args.server.trim_end_matches('/').to_owned(),
         // A refusal has a body that says why.
-        agent: Agent::config_builder().http_status_as_error(false).build().new_agent(),
+        agent: agent(args.api_key.clone())?,
     };
     match &args.command {
         JobCommand::Submit(args) => submit(&server, args),
@@ -156,6 +161,21 @@ pub(super) fn run(args: &JobArgs) -> Result<(), CliError> {
             server.answer(server.agent.delete(server.url(&format!("/jobs/{id}"))).call()).map(|_| ())
         }
     }
+}
+
+/// A client that shows this key with every request.
+fn agent(key: Option<String>) -> Result<Agent, CliError> {
+    let mut config = Agent::config_builder().http_status_as_error(false);
+    if let Some(key) = key {
+        let mut value = HeaderValue::from_str(&format!("Bearer {key}"))
+            .map_err(|_| CliError::Usage("--api-key: not a key: it has characters that no key has".into()))?;
+        value.set_sensitive(true);
+        config = config.middleware(move |mut request: Request<SendBody<'_>>, next: MiddlewareNext<'_>| {
+            request.headers_mut().insert(header::AUTHORIZATION, value.clone());
+            next.handle(request)
+        });
+    }
+    Ok(config.build().new_agent())
 }
 
 struct Server {

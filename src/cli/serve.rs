@@ -230,8 +230,13 @@ struct AccessArgs {
     keys: Option<PathBuf>,
 
     /// What needs no key: health, metrics, docs, with commas between; or none
-    #[arg(long, env = "DENSECLOUD_OPEN", value_name = "WHAT,...", value_delimiter = ',',
-        default_value = "health,metrics,docs")]
+    #[arg(
+        long,
+        env = "DENSECLOUD_OPEN",
+        value_name = "WHAT,...",
+        value_delimiter = ',',
+        default_value = "health,metrics,docs"
+    )]
     open: Vec<Open>,
 
     /// Take the last hop of X-Forwarded-For as the client's address: only behind a proxy that sets it
@@ -266,7 +271,8 @@ impl AccessArgs {
 
     fn keys(&self) -> Result<Option<Arc<Keys>>, CliError> {
         let Some(path) = &self.keys else { return Ok(None) };
-        let keys = Keys::read(path).map_err(|e| CliError::Usage(format!("--keys {}: {e}", path.display())))?;
+        let keys =
+            Keys::read(path).map_err(|e| CliError::Usage(format!("--keys {}: {e}", path.display())))?;
         Ok(Some(Arc::new(keys)))
     }
 }
@@ -291,9 +297,12 @@ impl Memory {
 fn memory(text: &str) -> Result<Memory, String> {
     match text {
         "auto" => Ok(Memory::Auto),
-        text => text.parse().ok().filter(|&bytes| bytes > 0).map(Memory::Bytes).ok_or_else(|| {
-            "neither auto nor a positive number of bytes".to_owned()
-        }),
+        text => text
+            .parse()
+            .ok()
+            .filter(|&bytes| bytes > 0)
+            .map(Memory::Bytes)
+            .ok_or_else(|| "neither auto nor a positive number of bytes".to_owned()),
     }
 }
 
@@ -313,7 +322,8 @@ async fn serve(args: &ServeArgs, engine: Engine, config: Config) -> Result<(), C
     let address = listener.local_addr().map_err(unbound)?;
     let model = &config.model;
     tracing::info!(
-        %address, model = model.name.name, provider = model.provider, threads = engine.threads(), "listening"
+        %address, model = model.name.name, provider = model.provider, threads = engine.threads(),
+        max_memory = engine.max_memory(), keys = config.access.keys.is_some(), "listening"
     );
     server::run(listener, engine, config, signals.first()).await.map_err(|e| CliError::Failed(e.to_string()))
 }

@@ -85,7 +85,8 @@ impl Pace {
 
     /// How long a request takes; nothing before anything was measured.
     pub(super) fn estimate(&self, cost: Cost) -> Duration {
-        let seconds = (self.fixed + self.a_point * cost.points_read()) * self.correction[cost.lane() as usize];
+        let seconds =
+            (self.fixed + self.a_point * cost.points_read()) * self.correction[cost.lane() as usize];
         Duration::try_from_secs_f64(seconds.min(1e9)).unwrap_or_default()
     }
 
@@ -128,7 +129,8 @@ mod tests {
     #[test]
     fn memory_is_more_than_what_was_measured_and_not_much_more() {
         // BENCHMARKS.md: points in, ratio, megabytes of the whole process.
-        for (points_in, ratio, megabytes) in [(100_000, 4, 155), (1_000_000, 4, 1122), (1_000_000, 16, 4026)] {
+        for (points_in, ratio, megabytes) in [(100_000, 4, 155), (1_000_000, 4, 1122), (1_000_000, 16, 4026)]
+        {
             let estimate = cost(points_in, ratio * points_in).memory() / 1_000_000;
             assert!((megabytes..3 * megabytes).contains(&estimate), "{points_in} at {ratio}: {estimate}");
         }

@@ -218,7 +218,8 @@ fn run(queue: &Queue, workers: &Workers, task: &Task, work: Work, turn: Turn<'_>
         let cancelled = || task.watch.cancelled();
         let made = std::mem::take(&mut dense.positions);
         let work = || attributes::finish(cloud, made, finish, &cancelled);
-        let (positions, attributes) = workers.install(task.cost.lane(), work).ok_or(CascadeError::Cancelled)?;
+        let (positions, attributes) =
+            workers.install(task.cost.lane(), work).ok_or(CascadeError::Cancelled)?;
         dense.positions = positions;
         Ok((dense, attributes))
     }));

@@ -284,7 +284,8 @@ impl Engine {
         request: Request,
         reserved: Option<Permit>,
     ) -> Result<Job, EngineError> {
-        let finite = request.cloud.positions.iter().filter(|p| p.iter().all(|c| c.is_finite())).count() as u64;
+        let finite =
+            request.cloud.positions.iter().filter(|p| p.iter().all(|c| c.is_finite())).count() as u64;
         let cost = Cost { points_in: finite, points_out: request.target.points_out(finite)? };
         let permit = match reserved {
             Some(mut permit) => {
@@ -312,6 +313,12 @@ impl Engine {
     #[must_use]
     pub fn memory(&self) -> u64 {
         self.inner.queue.memory()
+    }
+
+    /// Bytes that they may take.
+    #[must_use]
+    pub fn max_memory(&self) -> u64 {
+        self.inner.queue.bounds().memory
     }
 
     /// How long all that is admitted and not done will take.

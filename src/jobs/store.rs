@@ -398,9 +398,9 @@ impl Store {
             ), own AS (SELECT turn FROM queued WHERE number = ?1)
             SELECT count(*), coalesce(sum(points_out), 0) FROM queued, own
             WHERE queued.turn < own.turn OR (queued.turn = own.turn AND number < ?1)";
-        let ahead = self.database().query_row(sql, [job.number], |row| {
-            Ok((row.get(0).map(natural)?, row.get(1).map(natural)?))
-        })?;
+        let ahead = self
+            .database()
+            .query_row(sql, [job.number], |row| Ok((row.get(0).map(natural)?, row.get(1).map(natural)?)))?;
         Ok(ahead)
     }
 

@@ -332,7 +332,8 @@ fn clients_take_turns_and_have_their_own_names_for_requests() {
     assert_eq!(store.submit(&of("b", Some("key")), 5).expect("room"), {
         Submitted::Known(store.get(&b).expect("no fault").expect("the job"))
     });
-    let ahead = |id: &String| store.ahead(&store.get(id).expect("no fault").expect("the job")).expect("no fault").0;
+    let ahead =
+        |id: &String| store.ahead(&store.get(id).expect("no fault").expect("the job")).expect("no fault").0;
     assert_eq!([&first[0], &first[1], &first[2], &b].map(ahead), [0, 2, 3, 1]);
     let claim = |now| store.claim(now).expect("no fault").map(|job| job.id);
     let order: Vec<_> = (10..15).filter_map(claim).collect();
@@ -363,7 +364,8 @@ fn no_more_jobs_wait_than_may() {
 fn a_database_without_clients_is_brought_up_to_date() {
     let dir = tempfile::tempdir().expect("a folder");
     let store = open(dir.path(), 0);
-    let (queued, done) = (submit(&store, &job("a", Some("key"), b"abc"), 0), submit(&store, &job("b", None, b"x"), 0));
+    let (queued, done) =
+        (submit(&store, &job("a", Some("key"), b"abc"), 0), submit(&store, &job("b", None, b"x"), 0));
     drop(store);
     let database = rusqlite::Connection::open(dir.path().join("jobs.sqlite")).expect("a database");
     database

@@ -53,7 +53,8 @@ impl Access {
     }
 
     fn address(&self, headers: &HeaderMap, peer: Option<IpAddr>) -> Option<IpAddr> {
-        let forwarded = headers.get_all("x-forwarded-for").iter().next_back().filter(|_| self.trust_forwarded);
+        let forwarded =
+            headers.get_all("x-forwarded-for").iter().next_back().filter(|_| self.trust_forwarded);
         let last = forwarded.and_then(|value| value.to_str().ok()?.rsplit(',').next());
         last.and_then(|hop| hop.trim().parse().ok()).or(peer)
     }
@@ -117,7 +118,11 @@ pub(super) async fn identify(State(app): State<Arc<App>>, mut request: Request, 
 mod tests {
     use super::*;
 
-    fn client(access: &Access, headers: &[(&'static str, &'static str)], peer: &str) -> Result<String, Problem> {
+    fn client(
+        access: &Access,
+        headers: &[(&'static str, &'static str)],
+        peer: &str,
+    ) -> Result<String, Problem> {
         let mut map = HeaderMap::new();
         for (name, value) in headers {
             map.append(*name, axum::http::HeaderValue::from_static(value));
@@ -128,14 +133,18 @@ mod tests {
 
     #[test]
     fn without_keys_the_address_tells_clients_apart() {
-        let (direct, proxied) =
-            (Access::default(), Access { trust_forwarded: true, ..Access::default() });
+        let (direct, proxied) = (Access::default(), Access { trust_forwarded: true, ..Access::default() });
         let forged = &[("x-forwarded-for", "9.9.9.9, 5.6.7.8")][..];
         for (access, headers, peer, expected) in [
             (&direct, &[][..], "1.2.3.4", "1.2.3.4"),
             (&direct, forged, "1.2.3.4", "1.2.3.4"),
             (&proxied, forged, "1.2.3.4", "5.6.7.8"),
-            (&proxied, &[("x-forwarded-for", "5.6.7.8"), ("x-forwarded-for", "6.7.8.9")], "1.2.3.4", "6.7.8.9"),
+            (
+                &proxied,
+                &[("x-forwarded-for", "5.6.7.8"), ("x-forwarded-for", "6.7.8.9")],
+                "1.2.3.4",
+                "6.7.8.9",
+            ),
             (&proxied, &[], "1.2.3.4", "1.2.3.4"),
             (&proxied, &[("x-forwarded-for", "unknown")], "1.2.3.4", "1.2.3.4"),
             (&direct, &[], "2001:db8:1:2:3:4:5:6", "2001:db8:1:2::/64"),
@@ -150,7 +159,8 @@ mod tests {
     fn with_keys_the_key_does() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("keys");
-        std::fs::write(&path, format!("alice {}", super::super::keys::hashed("a key of hers"))).expect("a file");
+        std::fs::write(&path, format!("alice {}", super::super::keys::hashed("a key of hers")))
+            .expect("a file");
         let keys = Some(Arc::new(Keys::read(&path).expect("keys")));
         let access = Access { keys, ..Access::default() };
         for headers in [

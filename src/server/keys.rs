@@ -11,7 +11,6 @@ use std::path::Path;
 use sha2::{Digest, Sha256};
 use subtle::ConstantTimeEq;
 
-
 /// All keys that a server knows.
 #[derive(Clone, PartialEq, Eq)]
 pub struct Keys(Vec<Entry>);
@@ -91,7 +90,9 @@ impl Keys {
                 return Err(wrong("a name may have up to 64 letters, digits, dots, dashes and underscores"));
             }
             let hash = match key.strip_prefix("sha256:") {
-                Some(digits) => digest(digits).ok_or(wrong("sha256: must be followed by 64 hexadecimal digits"))?,
+                Some(digits) => {
+                    digest(digits).ok_or(wrong("sha256: must be followed by 64 hexadecimal digits"))?
+                }
                 None if key.len() < SHORTEST => return Err(wrong("a key must have 16 characters at least")),
                 None if !key.bytes().all(|b| b.is_ascii_graphic()) => {
                     return Err(wrong("a key may have visible ASCII characters alone"));
@@ -157,7 +158,10 @@ mod tests {
 
     #[test]
     fn keys_are_known_plain_or_hashed_and_by_several_for_one_name() {
-        let text = format!("# ours\n\n alice  {KEY}\nbob {}\nalice another-key-of-hers\n", hashed("bobs secret key!"));
+        let text = format!(
+            "# ours\n\n alice  {KEY}\nbob {}\nalice another-key-of-hers\n",
+            hashed("bobs secret key!")
+        );
         let (keys, plain) = Keys::parse(&text).expect("keys");
         assert!(plain);
         for (key, name) in [

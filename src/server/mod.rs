@@ -59,8 +59,8 @@ use tokio::task::{JoinSet, spawn_blocking};
 use tokio::time::{Instant, interval, timeout_at};
 
 pub use client::Access;
-pub use keys::{Keys, KeysError};
 pub use config::{Config, ConfigError, Limits, ModelInfo, Timeouts};
+pub use keys::{Keys, KeysError};
 
 use crate::engine::{Engine, EngineError};
 use crate::jobs::{Jobs, StoreError};

@@ -31,9 +31,9 @@ mod tests {
 
     use serde_json::{Map, Value};
 
-    use super::super::{deadline, inference};
     use super::super::problem::every_problem;
     use super::super::query;
+    use super::super::{deadline, inference};
     use super::*;
     use crate::formats::Format;
 

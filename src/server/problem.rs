@@ -165,9 +165,7 @@ pub(super) enum Problem {
         u64,
     ),
     /// As many jobs wait as may.
-    #[error(
-        "{queued} jobs are queued or running, and {limit} may be; --max-jobs lifts this limit"
-    )]
+    #[error("{queued} jobs are queued or running, and {limit} may be; --max-jobs lifts this limit")]
     JobsFull {
         /// How many there are.
         queued: u64,
@@ -177,7 +175,9 @@ pub(super) enum Problem {
         retry_after: Duration,
     },
     /// As many jobs of one client wait as may.
-    #[error("{queued} jobs of yours are queued or running, and {limit} may be; --client-jobs lifts this limit")]
+    #[error(
+        "{queued} jobs of yours are queued or running, and {limit} may be; --client-jobs lifts this limit"
+    )]
     ClientJobs {
         /// How many there are.
         queued: u64,
@@ -441,9 +441,7 @@ impl Problem {
                 "The work would take too much memory",
                 Some("--max-memory"),
             ),
-            Self::OutOfMemory(_) => {
-                (S::INSUFFICIENT_STORAGE, "out-of-memory", "No memory is left", None)
-            }
+            Self::OutOfMemory(_) => (S::INSUFFICIENT_STORAGE, "out-of-memory", "No memory is left", None),
             Self::JobsFull { .. } => {
                 (S::SERVICE_UNAVAILABLE, "jobs-full", "As many jobs wait as may", Some("--max-jobs"))
             }

@@ -90,7 +90,13 @@ impl Upload {
             Refusal::Broken(why) => Problem::Interrupted(why),
         };
         let mut decoder = Decoder::new(coding, held, limit);
+        let mut sent = 0;
         while let Some(chunk) = self.next(app.config.timeouts.stall).await? {
+            // Compressed, endlessly much may stand for nothing.
+            sent += chunk.len() as u64;
+            if sent > limit {
+                return Err(Problem::BodyTooLarge { limit });
+            }
             let before = decoder.bytes().len();
             decoder = decoder.add(chunk).await.map_err(refused)?;
             judge(decoder.bytes(), decoder.bytes().len() - before)?;

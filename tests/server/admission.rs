@@ -97,8 +97,7 @@ fn with_keys_one_is_needed_but_for_what_is_open() {
 fn a_client_with_its_share_used_gets_429_and_others_are_served() {
     let folder = tempfile::tempdir().unwrap();
     let backend = Scripted::new();
-    let sizes =
-        EngineConfig { threads: 2, queue_points: 1000, client_points: 500, ..Default::default() };
+    let sizes = EngineConfig { threads: 2, queue_points: 1000, client_points: 500, ..Default::default() };
     let config = Config { access: keys(folder.path()), ..Config::default() };
     let server = Server::start_cold(&backend, sizes, config);
     server.wait_for_ready();
@@ -120,15 +119,17 @@ fn a_client_with_its_share_used_gets_429_and_others_are_served() {
     assert!(matches!(infer.status, 400 | 429), "{}", String::from_utf8_lossy(&infer.body));
     backend.open();
     assert_eq!((first.reply().status, others.reply().status), (200, 200));
-    assert_eq!(server.metric("densecloud_refused_total{reason=\"client-share\"}"), 1.0 + f64::from(u8::from(infer.status == 429)));
+    assert_eq!(
+        server.metric("densecloud_refused_total{reason=\"client-share\"}"),
+        1.0 + f64::from(u8::from(infer.status == 429))
+    );
     server.wait_for_no_work();
 }
 
 #[test]
 fn what_cannot_be_admitted_is_refused_before_its_body() {
     let backend = Scripted::new();
-    let sizes =
-        EngineConfig { threads: 2, queue_points: 1000, client_points: 1000, ..Default::default() };
+    let sizes = EngineConfig { threads: 2, queue_points: 1000, client_points: 1000, ..Default::default() };
     let server = Server::start_cold(&backend, sizes, Config::default());
     server.wait_for_ready();
     backend.shut();
@@ -138,7 +139,9 @@ fn what_cannot_be_admitted_is_refused_before_its_body() {
     let header = "ply\nformat binary_little_endian 1.0\nelement vertex 101\nproperty float x\nproperty float y\n\
                   property float z\nend_header\n";
     let head = |length: usize| {
-        format!("POST /upsample?ratio=4 HTTP/1.1\r\nhost: x\r\nconnection: close\r\ncontent-length: {length}\r\n\r\n")
+        format!(
+            "POST /upsample?ratio=4 HTTP/1.1\r\nhost: x\r\nconnection: close\r\ncontent-length: {length}\r\n\r\n"
+        )
     };
     let mut client = server.connect();
     client.send(head(header.len() + 1212).as_bytes());
@@ -200,8 +203,7 @@ fn a_deadline_that_the_backlog_rules_out_is_refused_at_once() {
 fn work_too_big_for_memory_gets_507_and_the_server_lives() {
     let sizes = EngineConfig { threads: 2, memory: 2 << 20, ..Default::default() };
     let folder = tempfile::tempdir().unwrap();
-    let config =
-        Config { jobs: Some(jobs::Settings::new(folder.path().to_owned())), ..Config::default() };
+    let config = Config { jobs: Some(jobs::Settings::new(folder.path().to_owned())), ..Config::default() };
     let server = Server::start_cold(&Scripted::new(), sizes, config);
     server.wait_for_ready();
     for path in ["/upsample", "/jobs"] {
@@ -222,9 +224,8 @@ fn jobs_are_their_clients_own() {
     let config = Config { access: keys(folder.path()), jobs: Some(settings), ..Config::default() };
     let backend = Scripted::new();
     let server = Server::start(&backend, config);
-    let submit = |key: &str| {
-        server.send("POST", "/jobs?ratio=4", &format!("{key}idempotency-key: same\r\n"), &body())
-    };
+    let submit =
+        |key: &str| server.send("POST", "/jobs?ratio=4", &format!("{key}idempotency-key: same\r\n"), &body());
     let (mine, yours) = (submit(ALICE), submit(BOB));
     assert_eq!((mine.status, yours.status), (202, 202), "each has its own names");
     let path = mine.header("location").unwrap().to_owned();
@@ -260,8 +261,7 @@ fn jobs_are_their_clients_own() {
 #[test]
 fn behind_a_proxy_clients_are_told_apart_by_what_it_forwards() {
     let backend = Scripted::new();
-    let sizes =
-        EngineConfig { threads: 2, queue_points: 2000, client_points: 500, ..Default::default() };
+    let sizes = EngineConfig { threads: 2, queue_points: 2000, client_points: 500, ..Default::default() };
     let access = Access { trust_forwarded: true, ..Access::default() };
     let server = Server::start_cold(&backend, sizes, Config { access, ..Config::default() });
     server.wait_for_ready();
