@@ -238,17 +238,16 @@ impl State {
         let used = self.running.iter().map(|r| r.memory).sum::<u64>();
         let alone = self.running.is_empty();
         let fits = |task: &Arc<Task>| alone || used.saturating_add(task.cost.memory()) <= memory;
-        match bulk.peek() {
-            Some(task) if fits(task) => {
-                // Large ones first: small ones have threads of their own.
-                if only.is_none() {
-                    return bulk.pop();
-                }
+        if let Some(room) = bulk.peek().map(fits) {
+            // Large ones first: small ones have threads of their own.
+            if room && only.is_none() {
+                return bulk.pop();
             }
             // A large one that waits for memory which small ones have gets it before further small ones; these
             // take moments.
-            Some(_) if !self.running.iter().any(|r| r.lane == Lane::Bulk) => return None,
-            _ => {}
+            if !room && !self.running.iter().any(|r| r.lane == Lane::Bulk) {
+                return None;
+            }
         }
         express.peek().is_some_and(fits).then(|| express.pop())?
     }
