@@ -109,11 +109,26 @@ def test_the_validation_table_tells_where_the_network_loses():
     losing, winning = evaluation((0.0006, 0.005, 0.2)), evaluation((0.0003, 0.001, 0.05))
     must = next(s for s in validation.SETTINGS if s.must)
     other = next(s for s in validation.SETTINGS if not s.must)
-    text = validation.text({must: losing, other: winning})
+    text = validation.text({must: losing, other: winning}, {must: {"cow": 0.0007, "duck": 0.0}})
     assert "| 1 of 2 | 1 of 2 | 1 of 2 | 1 of 2 | 1 of 2 |" in text
     assert "| 2 of 2 | 2 of 2 | 2 of 2 | 2 of 2 | 2 of 2 |" in text
     assert "0.20 against 0.10 (midpoints)" in text
-    assert "Where it is not" not in validation.text({must: winning})
+    assert "| 0.700 |" in text
+    assert "Where it is not" not in validation.text({must: winning}, {})
+
+
+def test_the_input_centroid_costs_nothing_where_it_is_right_and_more_the_further_it_is_off():
+    rng = np.random.default_rng(0)
+    square = rng.random((3000, 3)) * [1, 1, 0]
+    reference, exact = square[:2000], square[2000:]
+    own = validation.published_cd(exact, reference, exact.mean(0))
+    # By hand: each cloud in its own unit sphere, all pairs.
+    p, q = (c - c.mean(0) for c in (exact, reference))
+    p, q = (c / np.linalg.norm(c, axis=1).max() for c in (p, q))
+    squares = ((p[:, None] - q) ** 2).sum(2)
+    assert own == pytest.approx(squares.min(1).mean() + squares.min(0).mean(), rel=1e-9)
+    off = [validation.published_cd(exact, reference, exact.mean(0) + [d, 0, 0]) for d in (0.02, 0.05)]
+    assert own < off[0] < off[1]
 
 
 def test_removal_is_exact_nested_and_repeatable():

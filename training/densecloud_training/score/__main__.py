@@ -67,7 +67,9 @@ def run(arguments: argparse.Namespace) -> None:
     out.mkdir(parents=True, exist_ok=True)
     program = Program(find_program(arguments.program), arguments.model, arguments.threads, arguments.option)
     if arguments.command == "validation":
-        write(out, "validation.md", validation.text(validation.evaluate(held_out(arguments, program))))
+        inputs = held_out(arguments, program)
+        reports = validation.evaluate(inputs)
+        write(out, "validation.md", validation.text(reports, validation.centroids_alone(inputs, reports)))
     elif arguments.command == "stress":
         steps = stress.evaluate(held_out(arguments, program))
         (out / "stress.json").write_text(json.dumps(stress.as_json(steps), indent=1) + "\n")
