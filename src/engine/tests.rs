@@ -228,13 +228,14 @@ fn retry_after_grows_with_what_waits() {
     assert!(large <= engine.backlog());
 }
 
-/// The order in which clients' requests end, one thread working.
-fn order(fake: &Fake, concurrency: usize, points: u32) -> Vec<&'static str> {
-    let config = EngineConfig { threads: 1, concurrency, ..EngineConfig::default() };
+#[test]
+fn a_hundred_requests_of_one_client_do_not_hold_up_anothers() {
+    let fake = Fake::slow(Duration::from_millis(1));
+    let config = EngineConfig { threads: 1, concurrency: 1, ..EngineConfig::default() };
     let engine = Engine::with_backend(Arc::new(fake.clone()), config).unwrap();
     let (sender, ends) = std::sync::mpsc::channel();
     let submit = |name: &'static str| {
-        let job = engine.submit_for(&caller(name), request(points, 4.0), None).unwrap();
+        let job = engine.submit_for(&caller(name), request(100, 4.0), None).unwrap();
         let sender = sender.clone();
         std::thread::spawn(move || {
             job.wait().unwrap();
@@ -244,20 +245,14 @@ fn order(fake: &Fake, concurrency: usize, points: u32) -> Vec<&'static str> {
     let mut waiters: Vec<_> = (0..100).map(|_| submit("greedy")).collect();
     wait_until("the first batch", || fake.batches() > 0);
     waiters.push(submit("modest"));
+    let over = 101 - engine.queued_points() / 400;
     for waiter in waiters {
         waiter.join().unwrap();
     }
-    drop(sender);
-    ends.iter().collect()
-}
-
-#[test]
-fn a_hundred_requests_of_one_client_do_not_hold_up_anothers() {
-    let order = order(&Fake::slow(Duration::from_micros(500)), 1, 100);
-    let place = order.iter().position(|name| *name == "modest").unwrap();
-    // Two threads take small requests, so that two may be at work; some may have ended before it came, or by
-    // the time that it was told.
-    assert!(place < 30, "{place} went before it");
+    let place = ends.iter().take(101).position(|name| name == "modest").unwrap() as u64;
+    // Two threads take small requests: what they were at goes before it, and what is beside it may. The rest is
+    // for those who tell.
+    assert!(place <= over + 8, "{place} went before it, of which {over} were over when it came");
 }
 
 #[test]
