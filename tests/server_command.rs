@@ -30,7 +30,12 @@ impl Serving {
     }
 
     fn start_with(options: &[&str]) -> Self {
-        let mut child = densecloud()
+        Self::start_as(densecloud(), options)
+    }
+
+    /// Starts a program that takes our arguments.
+    fn start_as(mut program: Command, options: &[&str]) -> Self {
+        let mut child = program
             .args(["serve", "--port", "0", "--log-format", "json", "--threads", "1"])
             .args(options)
             .stderr(Stdio::piped())
@@ -168,6 +173,39 @@ fn a_key_lets_a_client_in_and_is_in_no_log() {
     let log: Vec<String> = serving.log.iter().map(|event| event.to_string()).collect();
     assert!(log.iter().any(|line| line.contains("\"client\":\"me\"")), "{log:?}");
     assert!(!log.iter().any(|line| line.contains(KEY) || line.contains("somebody-elses")), "{log:?}");
+}
+
+#[test]
+#[cfg(target_os = "linux")]
+fn a_request_for_which_the_system_has_no_memory_gets_507_and_others_go_on() {
+    let size = |serving: &Serving| {
+        let status =
+            std::fs::read_to_string(format!("/proc/{}/status", serving.child.id())).expect("a process");
+        let line = status.lines().find_map(|line| line.strip_prefix("VmPeak:")).expect("its size");
+        line.trim().trim_end_matches(" kB").parse::<u64>().expect("kilobytes")
+    };
+    // One heap for all threads, so that the size tells what is left.
+    let limited = |kilobytes: &str| {
+        let mut shell = Command::new("sh");
+        let script = format!("ulimit -v {kilobytes} && exec \"$0\" \"$@\"");
+        shell.args(["-c", &script, env!("CARGO_BIN_EXE_densecloud")]).env("MALLOC_ARENA_MAX", "1");
+        Serving::start_as(shell, &["--max-memory", "1000000000000"])
+    };
+    let idle = size(&limited("unlimited"));
+    // Room for 300,000 points, but not for what the first level knows of each: 158 MB.
+    let serving = limited(&(idle + 140_000).to_string());
+    let body = text(300_000);
+    let mut refused = ureq::post(serving.url("/upsample?ratio=4"))
+        .config()
+        .http_status_as_error(false)
+        .build()
+        .send(body.as_bytes())
+        .expect("an answer");
+    let answer = refused.body_mut().read_to_string().expect("a body");
+    assert_eq!(refused.status(), 507, "{answer}");
+    assert!(answer.contains("out-of-memory"), "{answer}");
+    let fine = ureq::post(serving.url("/upsample?ratio=4")).send(text(300).as_bytes());
+    assert_eq!(fine.expect("an answer").status(), 200);
 }
 
 #[test]
