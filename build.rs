@@ -1,10 +1,29 @@
-//! Fetches ONNX Runtime's library when it is missing, so that plain `cargo run` and `cargo test`
-//! work in a fresh checkout.
+//! Generates the gRPC interface's code from `proto/`, and fetches ONNX Runtime's library when it is
+//! missing, so that plain `cargo run` and `cargo test` work in a fresh checkout.
 
 use std::path::Path;
 use std::process::Command;
 
+use prost::Message;
+
 fn main() {
+    generate_grpc();
+    fetch_onnxruntime();
+}
+
+/// Writes the messages, client and server into `OUT_DIR`, and beside them the descriptor that
+/// reflection shows. In Rust alone: nobody needs to install `protoc`.
+fn generate_grpc() {
+    const CONTRACT: &str = "proto/densecloud/v1/densecloud.proto";
+    println!("cargo::rerun-if-changed={CONTRACT}");
+    let out = std::env::var("OUT_DIR").expect("cargo sets OUT_DIR");
+    let descriptor = protox::compile([CONTRACT], ["proto"]).unwrap_or_else(|error| panic!("{error:?}"));
+    std::fs::write(Path::new(&out).join("densecloud.bin"), descriptor.encode_to_vec())
+        .expect("OUT_DIR can be written");
+    tonic_prost_build::configure().bytes(".").compile_fds(descriptor).expect("the contract becomes Rust");
+}
+
+fn fetch_onnxruntime() {
     let root = std::env::var("CARGO_MANIFEST_DIR").expect("cargo sets CARGO_MANIFEST_DIR");
     let vendor = Path::new(&root).join("vendor/onnxruntime");
     let script = Path::new(&root).join("scripts/fetch-onnxruntime.sh");

@@ -3,7 +3,7 @@
 //! Data flows one way: bytes -> [`formats`] -> [`cloud`] -> [`cascade`] (which uses
 //! [`geometry`] and a [`backend`]) -> [`formats`] -> bytes. The [`engine`] queues and runs
 //! cascades, and [`jobs`] keeps those on disk that should outlive the program; [`server`] and [`cli`] are
-//! thin edges over them, and [`evaluate`] scores results.
+//! thin edges over them, and [`evaluate`] scores results. [`proto`] is the gRPC interface's contract.
 
 pub mod attributes;
 pub mod backend;
@@ -15,6 +15,7 @@ pub mod evaluate;
 pub mod formats;
 pub mod geometry;
 pub mod jobs;
+pub mod proto;
 pub mod provenance;
 pub mod server;
 pub mod survey;

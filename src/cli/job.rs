@@ -1,18 +1,17 @@
 //! `densecloud job`: jobs of a server elsewhere.
 
-use std::fs::File;
-use std::io::{self, BufRead, BufReader, IsTerminal, Read};
+use std::io::{self, BufRead, BufReader, IsTerminal};
 use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::{ArgGroup, Args, Subcommand};
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::Value;
-use ureq::http::{HeaderValue, Request, Response, header};
-use ureq::middleware::MiddlewareNext;
-use ureq::{Agent, Body, SendBody};
+use ureq::Body;
+use ureq::http::Response;
 
-use super::{CliError, files};
+use super::CliError;
+use super::remote::{Server, Show};
 
 /// Jobs of a server: leave a cloud there, come back for the dense one.
 #[derive(Debug, Args)]
@@ -32,9 +31,9 @@ pub(super) struct JobArgs {
     )]
     server: String,
 
-    /// Key to show, where the server has --keys
-    #[arg(long, global = true, env = "DENSECLOUD_API_KEY", value_name = "KEY", hide_env_values = true)]
-    api_key: Option<String>,
+    /// The key that opens the server, where it asks for one
+    #[arg(long, global = true, env = "DENSECLOUD_KEY", hide_env_values = true, value_name = "KEY")]
+    key: Option<String>,
 
     #[command(subcommand)]
     command: JobCommand,
@@ -61,6 +60,9 @@ enum JobCommand {
         id: String,
         /// Where to write it; `-` for standard output
         output: PathBuf,
+        /// Say nothing but errors
+        #[arg(short, long)]
+        quiet: bool,
     },
     /// Stop a job, or forget one that is over, with its result
     Cancel {
@@ -122,7 +124,11 @@ struct SubmitArgs {
 
     /// Name of this request: submitted again under the same one, it is the same job
     #[arg(long, value_name = "NAME")]
-    key: Option<String>,
+    idempotency_key: Option<String>,
+
+    /// Say nothing but errors
+    #[arg(short, long)]
+    quiet: bool,
 }
 
 impl SubmitArgs {
@@ -147,89 +153,22 @@ impl SubmitArgs {
 }
 
 pub(super) fn run(args: &JobArgs) -> Result<(), CliError> {
-    let server = Server {
-        base: args.server.trim_end_matches('/').to_owned(),
-        // A refusal has a body that says why.
-        agent: agent(args.api_key.clone())?,
-    };
+    let server = Server::new(&args.server, args.key.as_deref())?;
     match &args.command {
         JobCommand::Submit(args) => submit(&server, args),
         JobCommand::List { limit } => list(&server, *limit),
         JobCommand::Watch { id } => watch(&server, id),
-        JobCommand::Get { id, output } => get(&server, id, output),
-        JobCommand::Cancel { id } => {
-            server.answer(server.agent.delete(server.url(&format!("/jobs/{id}"))).call()).map(|_| ())
-        }
-    }
-}
-
-/// A client that shows this key with every request.
-fn agent(key: Option<String>) -> Result<Agent, CliError> {
-    let mut config = Agent::config_builder().http_status_as_error(false);
-    if let Some(key) = key {
-        let mut value = HeaderValue::from_str(&format!("Bearer {key}"))
-            .map_err(|_| CliError::Usage("--api-key: not a key: it has characters that no key has".into()))?;
-        value.set_sensitive(true);
-        config = config.middleware(move |mut request: Request<SendBody<'_>>, next: MiddlewareNext<'_>| {
-            request.headers_mut().insert(header::AUTHORIZATION, value.clone());
-            next.handle(request)
-        });
-    }
-    Ok(config.build().new_agent())
-}
-
-struct Server {
-    base: String,
-    agent: Agent,
-}
-
-impl Server {
-    fn url(&self, path: &str) -> String {
-        format!("{}{path}", self.base)
-    }
-
-    fn get(&self, path: &str) -> Result<Response<Body>, CliError> {
-        self.answer(self.agent.get(self.url(path)).call())
-    }
-
-    /// The answer, unless it is a problem.
-    fn answer(&self, called: Result<Response<Body>, ureq::Error>) -> Result<Response<Body>, CliError> {
-        let mut answer = called.map_err(|error| self.failed(&error))?;
-        if answer.status().is_success() {
-            return Ok(answer);
-        }
-        let text = answer.body_mut().read_to_string().unwrap_or_default();
-        let detail = serde_json::from_str(&text)
-            .ok()
-            .and_then(|problem: Value| problem["detail"].as_str().map(str::to_owned));
-        Err(self.failed(&detail.unwrap_or_else(|| answer.status().to_string())))
-    }
-
-    fn failed(&self, why: &dyn std::fmt::Display) -> CliError {
-        CliError::Failed(format!("{}: {why}", self.base))
-    }
-
-    fn json(&self, answer: Response<Body>) -> Result<Value, CliError> {
-        let mut answer = answer;
-        let text = answer.body_mut().read_to_string().map_err(|error| self.failed(&error))?;
-        serde_json::from_str(&text).map_err(|error| self.failed(&error))
+        JobCommand::Get { id, output, quiet } => get(&server, id, output, *quiet),
+        JobCommand::Cancel { id } => server.delete(&format!("/jobs/{id}")).map(|_| ()),
     }
 }
 
 fn submit(server: &Server, args: &SubmitArgs) -> Result<(), CliError> {
-    let unread = |error: io::Error| CliError::file(&args.input, error);
-    let mut input: Box<dyn Read> = if files::is_stream(&args.input) {
-        Box::new(io::stdin().lock())
-    } else {
-        Box::new(File::open(&args.input).map_err(unread)?)
-    };
-    let mut request = server.agent.post(server.url("/jobs")).query_pairs(args.query());
-    for (header, value) in [("accept", &args.accept), ("idempotency-key", &args.key)] {
-        if let Some(value) = value {
-            request = request.header(header, value);
-        }
-    }
-    let job = server.json(server.answer(request.send(SendBody::from_reader(&mut input)))?)?;
+    let headers = [("accept", &args.accept), ("idempotency-key", &args.idempotency_key)];
+    let headers: Vec<_> =
+        headers.into_iter().filter_map(|(name, value)| Some((name, value.clone()?))).collect();
+    let show = Show { quiet: args.quiet };
+    let job = server.json(server.upload("/jobs", &args.query(), &headers, &args.input, &show)?)?;
     println!("{}", text(&job["id"]));
     Ok(())
 }
@@ -307,13 +246,9 @@ fn ended(server: &Server, job: &Value) -> Result<(), CliError> {
     }
 }
 
-fn get(server: &Server, id: &str, output: &std::path::Path) -> Result<(), CliError> {
+fn get(server: &Server, id: &str, output: &std::path::Path, quiet: bool) -> Result<(), CliError> {
     let result = server.get(&format!("/jobs/{id}/result"))?;
-    let mut body = result.into_body().into_reader();
-    files::write(output, |sink| {
-        io::copy(&mut body, sink)?;
-        Ok(())
-    })
+    server.save(result, output, &Show { quiet })
 }
 
 fn text(value: &Value) -> &str {

@@ -13,10 +13,12 @@ use tokio::signal::unix::{Signal, SignalKind, signal};
 use tracing_subscriber::EnvFilter;
 
 use super::engine_args::EngineArgs;
+use super::settings::SettingsArgs;
 use super::{CliError, memory};
+use crate::backend::Model;
 use crate::engine::{Engine, EngineConfig};
 use crate::jobs;
-use crate::server::{self, Access, Config, Keys, Limits, ModelInfo, Timeouts};
+use crate::server::{self, Access, Config, CorsOrigin, Keys, Limits, ModelInfo, Timeouts};
 
 /// Serve over HTTP: POST a cloud to /upsample, get a denser one back.
 #[derive(Debug, Args)]
@@ -25,8 +27,12 @@ Examples:
   densecloud serve --port 8080
   curl --data-binary @scan.ply 'http://localhost:8080/upsample?ratio=4' -o dense.ply
 
-SIGTERM and SIGINT let requests in flight finish (--drain-timeout); a second one ends at once.")]
+SIGTERM and SIGINT let requests in flight finish (--drain-lead, --drain-timeout); a second one ends
+at once.")]
 pub(super) struct ServeArgs {
+    #[command(flatten)]
+    settings: SettingsArgs,
+
     /// Port to listen on; 0 lets the system choose one, which the log then names
     #[arg(short, long, env = "DENSECLOUD_PORT", default_value_t = 8080)]
     port: u16,
@@ -95,6 +101,12 @@ pub(super) struct ServeArgs {
         default_value = "600")]
     request_timeout: Duration,
 
+    /// How long new requests are still served after the first signal, while /readyz already says 503:
+    /// as long as a load balancer takes to notice
+    #[arg(long, env = "DENSECLOUD_DRAIN_LEAD", value_name = "SECONDS", value_parser = seconds,
+        default_value = "0")]
+    drain_lead: Duration,
+
     /// How long requests in flight may take once the server was told to stop
     #[arg(long, env = "DENSECLOUD_DRAIN_TIMEOUT", value_name = "SECONDS", value_parser = seconds,
         default_value = "30")]
@@ -102,6 +114,11 @@ pub(super) struct ServeArgs {
 
     #[command(flatten)]
     jobs: JobsArgs,
+
+    /// Site whose pages may use the server from a browser, such as https://example.org, or * for all;
+    /// several with commas. Without it, none
+    #[arg(long, env = "DENSECLOUD_CORS_ORIGIN", value_name = "ORIGIN", value_delimiter = ',')]
+    cors_origin: Vec<CorsOrigin>,
 
     /// What is logged to standard error: error, warn, info, debug, or a filter like `info,hyper=debug`
     #[arg(long, env = "DENSECLOUD_LOG", value_name = "FILTER", default_value = "info")]
@@ -125,12 +142,23 @@ enum LogFormat {
 const BLOCKING_THREADS: usize = 16;
 
 pub(super) fn run(args: &ServeArgs) -> Result<(), CliError> {
-    let mut config = args.config();
-    config.access.keys = args.access.keys()?;
-    config.validate().map_err(|e| CliError::Usage(e.to_string()))?;
-    start_log(args)?;
+    let Checked { config, model, filter } = args.check()?;
+    if let Some(jobs) = &config.jobs {
+        std::fs::create_dir_all(&jobs.folder).map_err(|error| {
+            let folder = jobs.folder.display();
+            CliError::Usage(format!("--data-dir {folder}: {error}; give it a folder that can be written to"))
+        })?;
+    }
+    start_log(filter, args.log_format)?;
+    if let Some(file) = &args.settings.config {
+        tracing::info!(file = %file.display(), "settings read");
+    }
+    // In the log, too, where a collector finds it.
+    start(args, config, model).inspect_err(|error| tracing::error!(why = %error, "failed"))
+}
+
+fn start(args: &ServeArgs, mut config: Config, model: Arc<Model>) -> Result<(), CliError> {
     let failed = |why: &dyn std::fmt::Display| CliError::Failed(why.to_string());
-    let model = args.engine.model()?;
     let sizes = EngineConfig {
         threads: args.engine.threads,
         queue_points: args.queue_points,
@@ -150,7 +178,41 @@ pub(super) fn run(args: &ServeArgs) -> Result<(), CliError> {
     served
 }
 
+/// What the settings come to, all of it found to work as far as can be told without a port.
+pub(super) struct Checked {
+    config: Config,
+    model: Arc<Model>,
+    filter: EnvFilter,
+}
+
 impl ServeArgs {
+    /// Whether the settings are to be printed instead of used.
+    pub(super) fn prints_settings(&self) -> bool {
+        self.settings.print_config
+    }
+
+    /// Looks for everything that is wrong with the settings. Opens no port and writes nothing.
+    ///
+    /// # Errors
+    /// [`CliError::Usage`] with the setting and what to do, for all that the settings are to blame for.
+    pub(super) fn check(&self) -> Result<Checked, CliError> {
+        let mut config = self.config();
+        config.access.keys = self.access.keys()?;
+        config.validate().map_err(|e| CliError::Usage(e.to_string()))?;
+        let filter = EnvFilter::try_new(&self.log)
+            .map_err(|e| CliError::Usage(format!("--log {:?}: {e}; try info or debug", self.log)))?;
+        if let Some(jobs) = config.jobs.as_ref().filter(|jobs| jobs.folder.exists() && !jobs.folder.is_dir())
+        {
+            let folder = jobs.folder.display();
+            return Err(CliError::Usage(format!("--data-dir {folder} is a file; give it a folder")));
+        }
+        let model = self.engine.model().map_err(|error| match &self.engine.model {
+            Some(_) => CliError::Usage(format!("{error}; --model is a folder as in models/default")),
+            None => error,
+        })?;
+        Ok(Checked { config, model, filter })
+    }
+
     fn config(&self) -> Config {
         Config {
             limits: Limits {
@@ -164,10 +226,12 @@ impl ServeArgs {
                 head: self.head_timeout,
                 stall: self.stall_timeout,
                 request: self.request_timeout,
+                lead: self.drain_lead,
                 drain: self.drain_timeout,
             },
             access: self.access.access(),
             jobs: self.jobs.settings(),
+            cors: self.cors_origin.clone(),
             model: ModelInfo::default(),
         }
     }
@@ -359,19 +423,26 @@ fn stop(runtime: Runtime) {
     runtime.shutdown_background();
 }
 
-fn start_log(args: &ServeArgs) -> Result<(), CliError> {
-    let filter = EnvFilter::try_new(&args.log)
-        .map_err(|e| CliError::Usage(format!("--log {:?}: {e}; try info or debug", args.log)))?;
+fn start_log(filter: EnvFilter, format: LogFormat) -> Result<(), CliError> {
     let log = tracing_subscriber::fmt()
         .with_env_filter(filter)
         .with_writer(io::stderr)
         .with_ansi(io::stderr().is_terminal())
         .with_target(false);
-    let started = match args.log_format {
+    let started = match format {
         LogFormat::Text => log.try_init(),
         LogFormat::Json => log.json().try_init(),
     };
-    started.map_err(|e| CliError::Failed(format!("cannot start the log: {e}")))
+    started.map_err(|e| CliError::Failed(format!("cannot start the log: {e}")))?;
+    // A collector that reads JSON could not make sense of a panic's own lines.
+    std::panic::set_hook(Box::new(|panic| {
+        tracing::error!(
+            why = panic.payload_as_str(),
+            at = panic.location().map(ToString::to_string),
+            "panic"
+        );
+    }));
+    Ok(())
 }
 
 /// A duration in seconds, decimals allowed.
@@ -421,6 +492,7 @@ mod tests {
             "--head-timeout=0.5",
             "--stall-timeout=7",
             "--request-timeout=8",
+            "--drain-lead=9",
             "--drain-timeout=0",
         ]);
         let Config { limits, timeouts, .. } = args.expect("arguments").config();
@@ -429,23 +501,24 @@ mod tests {
         assert_eq!(timeouts.head, Duration::from_millis(500));
         assert_eq!(timeouts.stall, Duration::from_secs(7));
         assert_eq!(timeouts.request, Duration::from_secs(8));
+        assert_eq!(timeouts.lead, Duration::from_secs(9));
         assert_eq!(timeouts.drain, Duration::ZERO);
     }
 
     #[test]
-    fn the_manual_has_every_limit_with_its_default() {
+    fn every_option_is_a_setting() {
         use clap::CommandFactory;
-        let manual = include_str!("../../docs/http.md");
-        let mut limits = 0;
-        for argument in Line::command().get_arguments() {
-            let Some(flag) = argument.get_long() else { continue };
-            if flag.starts_with("max-") || flag.ends_with("-timeout") || flag.ends_with("-points") {
-                let default = argument.get_default_values()[0].to_string_lossy();
-                assert!(manual.contains(&format!("| `--{flag}` | {default} |")), "--{flag} {default}");
-                limits += 1;
+        for option in Line::command().get_arguments() {
+            let name = option.get_long().expect("a name");
+            let variable = option.get_env().map(|name| name.to_string_lossy().into_owned());
+            let expected = format!("DENSECLOUD_{}", name.replace('-', "_").to_uppercase());
+            match name {
+                // Not a setting but something to do.
+                "print-config" => assert_eq!(variable, None),
+                _ => assert_eq!(variable, Some(expected), "--{name} needs an `env`"),
             }
+            assert!(option.get_help().is_some(), "--{name} needs help");
         }
-        assert_eq!(limits, 13);
     }
 
     #[test]

@@ -8,7 +8,7 @@ use clap::{ArgGroup, Args, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
 
 use super::engine_args::EngineArgs;
-use super::{CliError, files};
+use super::{CliError, files, upsample_remote};
 use crate::attributes::{Finish, Rules};
 use crate::cascade::{Settings, Target};
 use crate::cloud::Position;
@@ -24,51 +24,52 @@ Examples:
   densecloud upsample scan.ply dense.ply --ratio 4
   densecloud upsample scan.xyz dense.ply --points 1000000
   densecloud upsample scan.laz dense.ply --spacing 0.05 --keep-input
+  densecloud upsample scan.ply dense.ply --ratio 8 --server http://big-machine:8080
   cat scan.ply | densecloud upsample - - --ratio 2.5 > dense.ply")]
 pub(super) struct UpsampleArgs {
     /// The sparse cloud: PLY, LAS, LAZ, E57, PCD, NumPy, OFF, OBJ or text, recognised by its content; `-` for standard
     /// input
-    input: PathBuf,
+    pub(super) input: PathBuf,
 
     /// The dense cloud: .ply, .las, .laz, .e57, .pcd, .npy or text such as .xyz (another or no extension: as the input);
     /// `-` for standard output
-    output: PathBuf,
+    pub(super) output: PathBuf,
 
     /// Points out for each point in, any number from 1 to 64 [default: 4]
     #[arg(short, long, value_name = "R", group = "target")]
-    ratio: Option<f64>,
+    pub(super) ratio: Option<f64>,
 
     /// Points out, exactly: 1 to 64 times the points in
     #[arg(short = 'n', long, value_name = "N", group = "target")]
-    points: Option<u64>,
+    pub(super) points: Option<u64>,
 
     /// Mean distance from a point to its nearest neighbour, in the cloud's units
     #[arg(long, value_name = "D", group = "target")]
-    spacing: Option<f64>,
+    pub(super) spacing: Option<f64>,
 
     /// Points a square unit of surface
     #[arg(long, value_name = "N", group = "target")]
-    density: Option<f64>,
+    pub(super) density: Option<f64>,
 
     /// Keep the input's points exactly, before the new ones; each takes the place of one of these
     #[arg(long)]
-    keep_input: bool,
+    pub(super) keep_input: bool,
 
     /// Add `source_index` (the row of the input's point that is nearest) and `is_generated` to each point
     #[arg(long)]
-    source_fields: bool,
+    pub(super) source_fields: bool,
 
     /// `estimate`: normals from the dense cloud itself, on the side of the input's, or of the sensor
     #[arg(long, value_name = "HOW")]
-    normals: Option<Normals>,
+    pub(super) normals: Option<Normals>,
 
     /// Where the sensor stood, for the side of estimated normals [default: as the file says]
     #[arg(long, value_name = "X,Y,Z", value_parser = parse_position, allow_hyphen_values = true, requires = "normals")]
-    sensor: Option<Position>,
+    pub(super) sensor: Option<Position>,
 
     /// Chooses among equally good results; the same seed gives the same bytes
     #[arg(long, default_value_t = 0)]
-    seed: u64,
+    pub(super) seed: u64,
 
     /// How many patches each point lies in, on average: more is slower
     #[arg(long, value_name = "X", default_value_t = Settings::default().overlap)]
@@ -94,19 +95,31 @@ pub(super) struct UpsampleArgs {
     /// How new points come by their attributes, by name: mean (of the nearest), nearest or drop, such as
     /// `label:nearest,curvature:drop` [default: by name and type]
     #[arg(long, value_name = "NAME:RULE,...")]
-    attributes: Option<Rules>,
+    pub(super) attributes: Option<Rules>,
 
     /// Say nothing but errors
     #[arg(short, long)]
-    quiet: bool,
+    pub(super) quiet: bool,
+
+    /// Have a server do the work; it has its own model and threads
+    #[arg(
+        long,
+        value_name = "URL",
+        conflicts_with_all = ["overlap", "inner", "max_displacement", "max_distance", "no_polish"]
+    )]
+    server: Option<String>,
+
+    /// The key that opens the server, where it asks for one
+    #[arg(long, env = "DENSECLOUD_KEY", hide_env_values = true, value_name = "KEY")]
+    pub(super) key: Option<String>,
 
     #[command(flatten)]
-    engine: EngineArgs,
+    pub(super) engine: EngineArgs,
 }
 
 /// Where the normals of new points come from.
 #[derive(Debug, Clone, Copy, ValueEnum)]
-enum Normals {
+pub(super) enum Normals {
     Estimate,
 }
 
@@ -134,6 +147,9 @@ pub(super) fn run(args: &UpsampleArgs) -> Result<(), CliError> {
     if wanted.is_some_and(|wanted| wanted.written() != wanted) {
         let why = "OFF and OBJ are read, not written; write PLY (.ply), which holds every attribute";
         return Err(CliError::Usage(why.into()));
+    }
+    if let Some(url) = &args.server {
+        return upsample_remote::run(args, url, wanted);
     }
     let start = Instant::now();
     let (cloud, header) = files::read_cloud(&args.input)?;

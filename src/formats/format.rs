@@ -224,6 +224,15 @@ impl Format {
         }
     }
 
+    /// Whether files are compressed in themselves, so that compressing them once more is in vain.
+    #[must_use]
+    pub fn is_packed(self) -> bool {
+        matches!(
+            self,
+            Self::Las { compressed: true } | Self::E57 | Self::Pcd { encoding: PcdEncoding::Compressed, .. }
+        )
+    }
+
     /// Whether [`CloudWriter`](super::CloudWriter) writes it in parts; if not, only
     /// [`encode`](super::encode) writes it, as a whole.
     #[must_use]

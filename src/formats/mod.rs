@@ -51,5 +51,6 @@ mod xyz;
 pub use error::{FormatError, Place};
 pub use format::{Format, Header, Limits, PcdEncoding, PlyEncoding, Scalar, Separator};
 pub use mesh::{read_mesh, read_mesh_file};
+pub(crate) use npy::header as npy_header;
 pub use reader::{CloudReader, read_cloud_file};
 pub use writer::{CloudWriter, encode};

@@ -439,7 +439,7 @@ impl Parser<'_> {
 
 /// The bytes before the data of a file of these attributes: as fields of their own types and names, or,
 /// without `fields`, as further columns of one table.
-pub(super) fn header(scalar: Scalar, fields: bool, points: u64, attributes: &[Attribute]) -> Vec<u8> {
+pub(crate) fn header(scalar: Scalar, fields: bool, points: u64, attributes: &[Attribute]) -> Vec<u8> {
     let float = match scalar {
         Scalar::F32 => "<f4",
         Scalar::F64 => "<f8",

@@ -16,7 +16,9 @@ use super::config::Config;
 use super::metrics::Metrics;
 use super::problem::Problem;
 use super::readiness::Readiness;
-use super::{client, inference, jobs, jobs_events, jobs_result, openapi, record, upsample};
+use super::{
+    client, compress, cors, grpc, inference, jobs, jobs_events, jobs_result, openapi, record, upsample,
+};
 use crate::engine::Engine;
 use crate::jobs::Jobs;
 
@@ -69,7 +71,7 @@ impl App {
 
 /// All paths.
 pub(super) fn router(app: Arc<App>) -> Router {
-    Router::new()
+    let routes = Router::new()
         .route("/upsample", post(upsample::upsample))
         .route("/jobs", get(jobs::list).post(jobs::submit))
         .route("/jobs/{id}", get(jobs::get).delete(jobs::delete))
@@ -81,11 +83,16 @@ pub(super) fn router(app: Arc<App>) -> Router {
         .route("/openapi.json", get(openapi::openapi))
         .route("/docs", get(openapi::docs))
         .merge(inference::routes())
+        .merge(grpc::routes(&app))
         .fallback(|| async { Problem::NotFound })
         .method_not_allowed_fallback(|| async { Problem::MethodNotAllowed })
         .layer(middleware::from_fn_with_state(Arc::clone(&app), client::identify))
-        .layer(middleware::from_fn_with_state(Arc::clone(&app), record::record))
-        .with_state(app)
+        .layer(middleware::from_fn_with_state(Arc::clone(&app), compress::compress));
+    let routes = match cors::layer(&app.config.cors) {
+        Some(cors) => routes.layer(cors),
+        None => routes,
+    };
+    routes.layer(middleware::from_fn_with_state(Arc::clone(&app), record::record)).with_state(app)
 }
 
 /// Alive, whatever it is doing.
@@ -95,7 +102,7 @@ async fn healthz() -> &'static str {
 
 /// Whether to send requests here.
 async fn readyz(State(app): State<Arc<App>>) -> Result<&'static str, Problem> {
-    app.readiness.check().map(|()| "ready\n")
+    app.readiness.probe().map(|()| "ready\n")
 }
 
 async fn metrics(State(app): State<Arc<App>>) -> impl IntoResponse {

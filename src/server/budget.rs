@@ -38,6 +38,11 @@ impl Budget {
 }
 
 impl Held {
+    /// Another share of the same budget.
+    pub(super) fn beside(&self, bytes: u64) -> Option<Self> {
+        self.budget.hold(bytes)
+    }
+
     /// Takes `bytes` more; false, and nothing taken, when the rest does not suffice.
     pub(super) fn grow(&mut self, bytes: u64) -> bool {
         let Budget { used, limit } = &self.budget;

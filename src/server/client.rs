@@ -10,9 +10,9 @@ use axum::response::{IntoResponse, Response};
 
 use super::accept::Connection;
 use super::app::App;
-use super::inference;
 use super::keys::Keys;
 use super::problem::Problem;
+use super::{grpc, inference};
 use crate::engine::Client;
 
 /// Who may ask, and how clients are told apart.
@@ -65,7 +65,8 @@ impl Access {
             "/healthz" | "/readyz" => self.open_health,
             "/metrics" => self.open_metrics,
             "/openapi.json" | "/docs" => self.open_docs,
-            path => self.open_health && inference::is_probe(path),
+            path if path.starts_with("/grpc.reflection.") => self.open_docs,
+            path => self.open_health && (inference::is_probe(path) || grpc::is_probe(path)),
         }
     }
 
@@ -187,7 +188,15 @@ mod tests {
     fn what_is_open_is_chosen() {
         let closed =
             Access { open_health: false, open_metrics: false, open_docs: false, ..Access::default() };
-        for path in ["/healthz", "/readyz", "/metrics", "/docs", "/openapi.json", "/v2/health/ready"] {
+        for path in [
+            "/healthz",
+            "/readyz",
+            "/metrics",
+            "/docs",
+            "/openapi.json",
+            "/v2/health/ready",
+            "/grpc.health.v1.Health/Check",
+        ] {
             assert!(Access::default().is_open(path) && !closed.is_open(path), "{path}");
         }
         for path in ["/upsample", "/jobs", "/v2/models/densecloud/infer", "/healthz/", "/nowhere"] {

@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use super::client::Access;
+use super::cors::CorsOrigin;
 use super::download::result_bytes;
 use crate::backend::ModelName;
 use crate::formats::Format;
@@ -19,6 +20,8 @@ pub struct Config {
     pub access: Access,
     /// Whether and how jobs are kept; none without a folder (`--data-dir`).
     pub jobs: Option<Settings>,
+    /// The sites whose pages may use the server from a browser (`--cors-origin`); none by default.
+    pub cors: Vec<CorsOrigin>,
     /// Which model answers, for `/metrics`.
     pub model: ModelInfo,
 }
@@ -49,6 +52,9 @@ pub struct Timeouts {
     /// From a request's head to its complete result, upload and queueing included
     /// (`--request-timeout`).
     pub request: Duration,
+    /// Between the first signal, from which on `/readyz` says 503, and the moment when new work is
+    /// refused (`--drain-lead`).
+    pub lead: Duration,
     /// For requests in flight when the server is told to stop (`--drain-timeout`).
     pub drain: Duration,
 }
@@ -71,6 +77,9 @@ pub enum ConfigError {
         /// The setting as typed at the command line.
         setting: &'static str,
     },
+    /// One of two makes the other pointless.
+    #[error("--cors-origin * lets every site in, so the others say nothing; drop the * or the others")]
+    EveryOriginAndMore,
     /// One request within its own limit could never be admitted.
     #[error(
         "{setting} lets one request hold {bytes} bytes, but --max-held-bytes is {held}; raise \
@@ -93,7 +102,7 @@ impl Config {
     /// See [`ConfigError`].
     pub fn validate(&self) -> Result<(), ConfigError> {
         let Limits { body_bytes, points_in, points_out, held_bytes, connections } = self.limits;
-        let Timeouts { head, stall, request, drain: _ } = self.timeouts;
+        let Timeouts { head, stall, request, lead: _, drain: _ } = self.timeouts;
         for (setting, zero) in [
             ("--max-body-bytes", body_bytes == 0),
             ("--max-points-in", points_in == 0),
@@ -110,6 +119,9 @@ impl Config {
             if zero {
                 return Err(ConfigError::Zero { setting });
             }
+        }
+        if self.cors.len() > 1 && self.cors.contains(&CorsOrigin::Any) {
+            return Err(ConfigError::EveryOriginAndMore);
         }
         for (setting, bytes) in [
             ("--max-body-bytes", body_bytes),
@@ -141,6 +153,7 @@ impl Default for Timeouts {
             head: Duration::from_secs(30),
             stall: Duration::from_secs(30),
             request: Duration::from_secs(600),
+            lead: Duration::ZERO,
             drain: Duration::from_secs(30),
         }
     }

@@ -7,6 +7,9 @@ use axum::body::Bytes;
 use axum::http::{HeaderMap, header};
 use flate2::write::{MultiGzDecoder, ZlibDecoder};
 use tokio::task::spawn_blocking;
+use zstd::stream::raw;
+use zstd::stream::zio;
+use zstd::zstd_safe::DParameter;
 
 use super::budget::Held;
 use super::problem::Problem;
@@ -18,11 +21,19 @@ pub(super) enum Coding {
     Gzip,
     /// In zlib's format (RFC 9110, section 8.4.1.2).
     Deflate,
+    /// With a window of up to 8 MiB, as RFC 9659 has it.
+    Zstd,
 }
+
+/// The largest window that a frame of zstd may ask for, as a power of two: what web clients keep to. A frame's
+/// header of a few bytes could ask for gigabytes.
+const ZSTD_WINDOW: u32 = 23;
+/// Memory of a zstd decoder: the window, and what it has beside that.
+const ZSTD_MEMORY: u64 = (1 << ZSTD_WINDOW) + (512 << 10);
 
 impl Coding {
     /// The values of `Accept-Encoding` for all that there are.
-    pub(super) const ACCEPTED: &str = "gzip, deflate, identity";
+    pub(super) const ACCEPTED: &str = "gzip, deflate, zstd, identity";
 
     /// The coding that these headers name.
     ///
@@ -35,17 +46,22 @@ impl Coding {
             "" | "identity" => Ok(Self::Identity),
             "gzip" | "x-gzip" => Ok(Self::Gzip),
             "deflate" => Ok(Self::Deflate),
+            "zstd" => Ok(Self::Zstd),
             other => Err(Problem::UnsupportedEncoding(other.to_owned())),
         }
     }
 }
 
 /// A body so far, decoded.
-#[derive(Debug)]
 pub(super) enum Decoder {
     Identity(Sink),
     Gzip(Box<MultiGzDecoder<Sink>>),
     Deflate(Box<ZlibDecoder<Sink>>),
+    Zstd {
+        decoder: Box<zio::Writer<Sink, raw::Decoder<'static>>>,
+        /// Its own memory, which is more than small change.
+        _own: Held,
+    },
 }
 
 /// Why a body is taken no further.
@@ -61,13 +77,22 @@ pub(super) enum Refusal {
 
 impl Decoder {
     /// For a body of this coding, of at most `limit` bytes when decoded, all of which `held` counts.
-    pub(super) fn new(coding: Coding, held: Held, limit: u64) -> Self {
+    ///
+    /// # Errors
+    /// [`Refusal::NoRoom`] for the decoder itself.
+    pub(super) fn new(coding: Coding, held: Held, limit: u64) -> Result<Self, Refusal> {
         let sink = Sink { bytes: Vec::new(), held, limit, refusal: None };
-        match coding {
+        Ok(match coding {
             Coding::Identity => Self::Identity(sink),
             Coding::Gzip => Self::Gzip(Box::new(MultiGzDecoder::new(sink))),
             Coding::Deflate => Self::Deflate(Box::new(ZlibDecoder::new(sink))),
-        }
+            Coding::Zstd => {
+                let own = sink.held.beside(ZSTD_MEMORY).ok_or(Refusal::NoRoom)?;
+                let mut decoder = raw::Decoder::new().map_err(broken)?;
+                decoder.set_parameter(DParameter::WindowLogMax(ZSTD_WINDOW)).map_err(broken)?;
+                Self::Zstd { decoder: Box::new(zio::Writer::new(sink, decoder)), _own: own }
+            }
+        })
     }
 
     /// What there is so far.
@@ -93,11 +118,14 @@ impl Decoder {
     /// # Errors
     /// [`Refusal::Broken`] where its end is missing or its checksum is wrong.
     pub(super) fn finish(self) -> Result<(Vec<u8>, Held), Refusal> {
-        let broken = |error: io::Error| Refusal::Broken(error.to_string());
         let sink = match self {
             Self::Identity(sink) => sink,
             Self::Gzip(decoder) => decoder.finish().map_err(broken)?,
             Self::Deflate(decoder) => decoder.finish().map_err(broken)?,
+            Self::Zstd { mut decoder, .. } => {
+                decoder.finish().map_err(broken)?;
+                decoder.into_inner().0
+            }
         };
         match sink.refusal {
             None => Ok((sink.bytes, sink.held)),
@@ -111,6 +139,7 @@ impl Decoder {
             // Flushed, so that a file's header is seen as soon as it is there.
             Self::Gzip(decoder) => decoder.write_all(piece).and_then(|()| decoder.flush()),
             Self::Deflate(decoder) => decoder.write_all(piece).and_then(|()| decoder.flush()),
+            Self::Zstd { decoder, .. } => decoder.write_all(piece).and_then(|()| decoder.flush()),
         };
         written.map_err(|error| {
             let refusal = self.sink_mut().refusal.take();
@@ -123,6 +152,7 @@ impl Decoder {
             Self::Identity(sink) => sink,
             Self::Gzip(decoder) => decoder.get_ref(),
             Self::Deflate(decoder) => decoder.get_ref(),
+            Self::Zstd { decoder, .. } => decoder.writer(),
         }
     }
 
@@ -131,8 +161,14 @@ impl Decoder {
             Self::Identity(sink) => sink,
             Self::Gzip(decoder) => decoder.get_mut(),
             Self::Deflate(decoder) => decoder.get_mut(),
+            Self::Zstd { decoder, .. } => decoder.writer_mut(),
         }
     }
+}
+
+#[allow(clippy::needless_pass_by_value, reason = "for map_err")]
+fn broken(error: io::Error) -> Refusal {
+    Refusal::Broken(error.to_string())
 }
 
 /// Where decoded bytes go: it refuses the first that is too many, so that a decoder stops there.
@@ -181,13 +217,14 @@ mod tests {
                 let mut encoder = ZlibEncoder::new(Vec::new(), Compression::default());
                 encoder.write_all(bytes).and_then(|()| encoder.finish()).expect("memory")
             }
+            Coding::Zstd => zstd::encode_all(bytes, 3).expect("memory"),
         }
     }
 
     /// What comes of these bytes in pieces of `piece`.
     fn decode(coding: Coding, bytes: &[u8], piece: usize, limit: u64) -> Result<Vec<u8>, Refusal> {
-        let held = Budget::new(1 << 20).hold(0).expect("room");
-        let mut decoder = Decoder::new(coding, held, limit);
+        let held = Budget::new(ROOM).hold(0).expect("room");
+        let mut decoder = Decoder::new(coding, held, limit)?;
         for piece in bytes.chunks(piece) {
             decoder.write(piece)?;
             assert!(decoder.bytes().len() as u64 <= limit);
@@ -195,7 +232,9 @@ mod tests {
         decoder.finish().map(|(bytes, _)| bytes)
     }
 
-    const CODINGS: [Coding; 3] = [Coding::Identity, Coding::Gzip, Coding::Deflate];
+    const CODINGS: [Coding; 4] = [Coding::Identity, Coding::Gzip, Coding::Deflate, Coding::Zstd];
+    /// For one body, and the decoder that takes most.
+    const ROOM: u64 = ZSTD_MEMORY + (1 << 20);
 
     #[test]
     fn bodies_come_out_as_they_went_in_however_they_are_cut() {
@@ -208,8 +247,10 @@ mod tests {
                 );
             }
         }
-        let twice = [encode(Coding::Gzip, b"1 2 3\n"), encode(Coding::Gzip, b"4 5 6\n")].concat();
-        assert_eq!(decode(Coding::Gzip, &twice, 7, 100), Ok(b"1 2 3\n4 5 6\n".to_vec()));
+        for coding in [Coding::Gzip, Coding::Zstd] {
+            let twice = [encode(coding, b"1 2 3\n"), encode(coding, b"4 5 6\n")].concat();
+            assert_eq!(decode(coding, &twice, 7, 100), Ok(b"1 2 3\n4 5 6\n".to_vec()));
+        }
     }
 
     #[test]
@@ -217,22 +258,42 @@ mod tests {
         for coding in CODINGS {
             let bomb = encode(coding, &vec![b' '; 600_000]);
             assert_eq!(decode(coding, &bomb, 1 << 20, 500_000), Err(Refusal::TooLarge), "{coding:?}");
-            let bomb = encode(coding, &vec![b' '; 3 << 20]);
+            let bomb = encode(coding, &vec![b' '; 2 * ROOM as usize]);
             assert_eq!(decode(coding, &bomb, 1 << 20, u64::MAX), Err(Refusal::NoRoom), "{coding:?}");
         }
     }
 
     #[test]
+    fn a_small_frame_cannot_ask_for_a_large_window() {
+        use zstd::stream::write::Encoder;
+        let text = b"1 2 3\n".repeat(1000);
+        let with_window = |log: u32| {
+            let mut encoder = Encoder::new(Vec::new(), 1).expect("memory");
+            encoder.window_log(log).expect("a log");
+            encoder.write_all(&text).and_then(|()| encoder.finish()).expect("memory")
+        };
+        assert_eq!(decode(Coding::Zstd, &with_window(ZSTD_WINDOW), 64, 1 << 20), Ok(text.clone()));
+        let refused = decode(Coding::Zstd, &with_window(27), 64, 1 << 20);
+        assert!(matches!(&refused, Err(Refusal::Broken(why)) if why.contains("memory")), "{refused:?}");
+        // And the one that is allowed is counted before it is taken.
+        let held = Budget::new(ZSTD_MEMORY - 1).hold(0).expect("room");
+        assert!(matches!(Decoder::new(Coding::Zstd, held, 100), Err(Refusal::NoRoom)));
+    }
+
+    #[test]
     fn what_is_cut_off_or_broken_is_noticed() {
-        for coding in [Coding::Gzip, Coding::Deflate] {
+        for coding in [Coding::Gzip, Coding::Deflate, Coding::Zstd] {
             let whole = encode(coding, &b"1 2 3\n4 5 6\n".repeat(50));
             for end in 1..whole.len() {
                 let found = decode(coding, &whole[..end], 8, 1000);
                 assert!(matches!(found, Err(Refusal::Broken(_))), "{coding:?} {end}: {found:?}");
             }
-            let mut wrong = whole.clone();
-            wrong[whole.len() - 1] ^= 1;
-            assert!(decode(coding, &wrong, 8, 1000).is_err(), "{coding:?}");
+            // zstd's checksum is optional, and absent here.
+            if coding != Coding::Zstd {
+                let mut wrong = whole.clone();
+                wrong[whole.len() - 1] ^= 1;
+                assert!(decode(coding, &wrong, 8, 1000).is_err(), "{coding:?}");
+            }
             assert!(decode(coding, &[&whole[..], b"more"].concat(), 8, 1000).is_err(), "{coding:?}");
             assert!(decode(coding, b"1 2 3\n", 8, 1000).is_err(), "{coding:?}");
         }
@@ -253,10 +314,11 @@ mod tests {
             (&["GZIP"], Coding::Gzip),
             (&["x-gzip"], Coding::Gzip),
             (&["deflate"], Coding::Deflate),
+            (&["zstd"], Coding::Zstd),
         ] {
             assert_eq!(of(names), Ok(coding));
         }
-        for names in [&["br"][..], &["zstd"], &["gzip, gzip"], &["gzip", "deflate"]] {
+        for names in [&["br"][..], &["gzip, zstd"], &["gzip, gzip"], &["gzip", "deflate"]] {
             assert!(matches!(of(names), Err(Problem::UnsupportedEncoding(_))), "{names:?}");
         }
     }

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use axum::Json;
 use axum::body::Body;
-use axum::extract::{Extension, Path, Query, State};
+use axum::extract::{Extension, Path, State};
 use axum::http::{HeaderMap, HeaderValue, StatusCode, Uri, header};
 use axum::response::{IntoResponse, Response};
 use serde::Serialize;
@@ -15,10 +15,11 @@ use super::accepted::accepted;
 use super::app::App;
 use super::budget::Held;
 use super::deadline::Deadline;
+use super::form::Asking;
 use super::jobs_document::Document;
 use super::jobs_work::Asked;
 use super::problem::{Problem, SOON};
-use super::query::Parameters;
+use super::query::{self, Parameters};
 use super::request_id::RequestId;
 use super::upload::{Received, Upload};
 use super::upsample::{Order, prepare};
@@ -114,10 +115,8 @@ async fn take(
 ) -> Result<Response, Problem> {
     app.jobs()?;
     app.readiness.check()?;
-    let parameters = Parameters::parse(uri)?;
     let wanted = accepted(headers)?;
     let key = idempotency_key(headers)?;
-    let asked = Asked::of(uri, headers);
     if key.is_none() {
         // With a key it may be one that is there already.
         let (shared, client) = (Arc::clone(app), client.clone());
@@ -126,12 +125,12 @@ async fn take(
         };
         ask(app, room).await?;
     }
-    let known = |points_in| {
-        let points_out = parameters.points_out(points_in);
+    let known = |points_in, points_out| {
         app.check_points(points_in, points_out)?;
         app.engine.check_memory(Cost { points_in, points_out }).map_err(Problem::from_engine)
     };
-    let received = upload.receive(headers, app, known).await?;
+    let Asking { parameters, query, received } = Asking::receive(upload, uri, headers, app, known).await?;
+    let asked = Asked::of(query, headers);
     let (shared, client, id) = (Arc::clone(app), client.clone(), id.as_str().to_owned());
     let (submitted, document) = ask(app, move |jobs| {
         let (job, _held) = new_job(&shared, received, &parameters, wanted, &asked)?;
@@ -267,13 +266,18 @@ pub(super) async fn list(
 }
 
 fn page_of(uri: &Uri) -> Result<(Option<i64>, u32), Problem> {
-    let Query(pairs) = Query::<Vec<(String, String)>>::try_from_uri(uri)
-        .map_err(|error| Problem::parameter("query", error.to_string()))?;
     let (mut before, mut limit) = (None, PAGE);
-    for (name, value) in &pairs {
+    let pairs = query::pairs(uri)?;
+    for (i, (name, value)) in pairs.iter().enumerate() {
+        if pairs[..i].iter().any(|(earlier, _)| earlier == name) {
+            return Err(Problem::parameter(name, "given twice".into()));
+        }
         let wrong = |what: String| Problem::parameter(name, format!("{value:?} is not {what}"));
         match name.as_str() {
-            "before" => before = Some(value.parse().map_err(|_| wrong("a number of a job".into()))?),
+            "before" => match value.parse() {
+                Ok(number) if number > 0 => before = Some(number),
+                _ => return Err(wrong("a number of a job".into())),
+            },
             "limit" => match value.parse() {
                 Ok(number) if (1..=LONGEST_PAGE).contains(&number) => limit = number,
                 _ => return Err(wrong(format!("a number from 1 to {LONGEST_PAGE}"))),

@@ -7,12 +7,13 @@ use std::sync::Arc;
 
 use axum::body::{Body, Bytes};
 use axum::extract::{Extension, Path, State};
-use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
+use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use futures::stream;
 use tokio::task::spawn_blocking;
 
 use super::app::App;
+use super::compress::{AsIs, Compression};
 use super::jobs::{ask, seen};
 use super::jobs_document::about;
 use super::problem::Problem;
@@ -26,6 +27,7 @@ pub(super) async fn result(
     State(app): State<Arc<App>>,
     Extension(client): Extension<Client>,
     Path(id): Path<String>,
+    method: Method,
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
     let shared = Arc::clone(&app);
@@ -38,13 +40,20 @@ pub(super) async fn result(
     })
     .await?;
     let about = about(&result)?;
-    let tag = format!("\"{}\"", result.sha256);
+    // Parts are parts of the file as it is. What is compressed is sent whole, under a tag of its own.
+    let range = headers.get(header::RANGE).filter(|_| method == Method::GET);
+    let compression = match range {
+        None if !about.packed => Compression::of_file(&headers, &about.media_type, result.bytes),
+        _ => None,
+    };
+    let tag = compression.map_or_else(|| result.sha256.clone(), |one| one.tag(&result.sha256));
+    let tag = format!("\"{tag}\"");
     let mut response = if has(&headers, header::IF_NONE_MATCH, &tag) {
         StatusCode::NOT_MODIFIED.into_response()
     } else {
         // A part of another version of the file would be of no use (RFC 9110, section 13.1.5).
-        let valid = !headers.contains_key(header::IF_RANGE) || has(&headers, header::IF_RANGE, &tag);
-        let range = headers.get(header::RANGE).filter(|_| valid).and_then(|range| range.to_str().ok());
+        let valid = headers.get(header::IF_RANGE).is_none_or(|one| one.as_bytes() == tag.as_bytes());
+        let range = range.filter(|_| valid).and_then(|range| range.to_str().ok());
         let part = range.map_or(Ok(None), |range| part(range, result.bytes))?;
         let Range { start, end } = part.clone().unwrap_or(0..result.bytes);
         if start > 0 {
@@ -66,7 +75,15 @@ pub(super) async fn result(
     let headers = response.headers_mut();
     about.tell(headers);
     headers.insert(header::ETAG, value(&tag)?);
-    headers.insert(header::ACCEPT_RANGES, HeaderValue::from_static("bytes"));
+    if compression.is_none() {
+        headers.insert(header::ACCEPT_RANGES, HeaderValue::from_static("bytes"));
+    }
+    if range.is_some() && !about.packed {
+        response.headers_mut().insert(header::VARY, HeaderValue::from_static("accept-encoding"));
+    }
+    if about.packed || range.is_some() {
+        response.extensions_mut().insert(AsIs);
+    }
     Ok(response)
 }
 
@@ -74,11 +91,11 @@ fn value(text: &str) -> Result<HeaderValue, Problem> {
     HeaderValue::from_str(text).map_err(|error| Problem::Internal(error.to_string()))
 }
 
-/// Whether one of the tags in a header is this one; `*` is any.
+/// Whether one of the tags in a header is this one, weak or not; `*` is any.
 fn has(headers: &HeaderMap, name: header::HeaderName, tag: &str) -> bool {
     let values = headers.get_all(name);
     let mut tags = values.iter().filter_map(|value| value.to_str().ok()).flat_map(|value| value.split(','));
-    tags.any(|one| matches!(one.trim(), one if one == "*" || one == tag))
+    tags.any(|one| one.trim() == "*" || one.trim().trim_start_matches("W/") == tag)
 }
 
 /// The part of so many bytes that a `Range` header asks for; none where the whole is to be sent: for what

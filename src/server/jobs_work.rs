@@ -24,12 +24,9 @@ pub(super) struct Asked {
 }
 
 impl Asked {
-    pub(super) fn of(uri: &Uri, headers: &HeaderMap) -> Self {
+    pub(super) fn of(query: String, headers: &HeaderMap) -> Self {
         let accept = headers.get_all(header::ACCEPT).iter().filter_map(|value| value.to_str().ok());
-        Self {
-            query: uri.query().unwrap_or_default().to_owned(),
-            accept: accept.collect::<Vec<_>>().join(","),
-        }
+        Self { query, accept: accept.collect::<Vec<_>>().join(",") }
     }
 
     pub(super) fn text(&self) -> String {

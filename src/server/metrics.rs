@@ -7,6 +7,7 @@ use std::time::Duration;
 
 use metrics::{Counter, Gauge, Histogram, Key, Label, Level, Metadata, Recorder, Unit};
 use metrics_exporter_prometheus::{BuildError, PrometheusBuilder, PrometheusHandle, PrometheusRecorder};
+use metrics_process::Collector;
 
 use super::config::ModelInfo;
 use crate::engine::Engine;
@@ -16,7 +17,7 @@ use crate::jobs::State;
 pub(super) struct Metrics {
     recorder: PrometheusRecorder,
     handle: PrometheusHandle,
-    duration: Histogram,
+    duration: [Histogram; Interface::ALL.len()],
     points_in: Counter,
     points_out: Counter,
     in_flight: Gauge,
@@ -27,6 +28,8 @@ pub(super) struct Metrics {
     admitted: Counter,
     estimated: Histogram,
     worked: Histogram,
+    /// What every process tells, under the names that every one tells it.
+    process: Collector,
 }
 
 const REQUESTS: &str = "densecloud_requests_total";
@@ -52,8 +55,24 @@ const BUCKETS: [f64; 14] =
 
 static METADATA: Metadata<'static> = Metadata::new(module_path!(), Level::INFO, Some(module_path!()));
 
-/// The interface of all requests here, beside others to come.
-const INTERFACE: Label = Label::from_static_parts("interface", "http");
+/// The door by which a request came.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Interface {
+    Http,
+    Grpc,
+}
+
+impl Interface {
+    const ALL: [Self; 2] = [Self::Http, Self::Grpc];
+
+    fn label(self) -> Label {
+        let name = match self {
+            Self::Http => "http",
+            Self::Grpc => "grpc",
+        };
+        Label::from_static_parts("interface", name)
+    }
+}
 
 impl Metrics {
     /// Registers everything, so that each series is there from the start.
@@ -92,7 +111,9 @@ impl Metrics {
         }
         let metrics = Self {
             handle: recorder.handle(),
-            duration: recorder.register_histogram(&Key::from_parts(DURATION, vec![INTERFACE]), &METADATA),
+            duration: Interface::ALL.map(|interface| {
+                recorder.register_histogram(&Key::from_parts(DURATION, vec![interface.label()]), &METADATA)
+            }),
             points_in: recorder.register_counter(&Key::from_static_name(POINTS_IN), &METADATA),
             points_out: recorder.register_counter(&Key::from_static_name(POINTS_OUT), &METADATA),
             in_flight: recorder.register_gauge(&Key::from_static_name(IN_FLIGHT), &METADATA),
@@ -103,9 +124,13 @@ impl Metrics {
             estimated: recorder.register_histogram(&Key::from_static_name(ESTIMATED), &METADATA),
             worked: recorder.register_histogram(&Key::from_static_name(WORKED), &METADATA),
             held_bytes: recorder.register_gauge(&Key::from_static_name(HELD), &METADATA),
+            process: Collector::default(),
             recorder,
         };
-        metrics.requests("ok").increment(0);
+        for interface in Interface::ALL {
+            metrics.requests(interface, "ok").increment(0);
+        }
+        metrics::with_local_recorder(&metrics.recorder, || metrics.process.describe());
         let labels = vec![
             Label::new("model", model.name.name.clone()),
             Label::new("sha256", model.name.sha256.clone()),
@@ -122,10 +147,10 @@ impl Metrics {
 
     /// Its response is over. `outcome` comes from a fixed set: `ok`, `cancelled`, `failed`, or the
     /// name of a problem.
-    pub(super) fn ended(&self, outcome: &'static str, took: Duration) {
+    pub(super) fn ended(&self, interface: Interface, outcome: &'static str, took: Duration) {
         self.in_flight.decrement(1.0);
-        self.requests(outcome).increment(1);
-        self.duration.record(took);
+        self.requests(interface, outcome).increment(1);
+        self.duration[interface as usize].record(took);
     }
 
     /// One stage of one request.
@@ -163,6 +188,7 @@ impl Metrics {
         self.backlog.set(engine.backlog().as_secs_f64());
         self.memory.set(engine.memory() as f64);
         self.held_bytes.set(held_bytes as f64);
+        metrics::with_local_recorder(&self.recorder, || self.process.collect());
         self.handle.render()
     }
 
@@ -180,8 +206,8 @@ impl Metrics {
         self.handle.run_upkeep();
     }
 
-    fn requests(&self, outcome: &'static str) -> Counter {
-        let labels = vec![INTERFACE, Label::from_static_parts("outcome", outcome)];
+    fn requests(&self, interface: Interface, outcome: &'static str) -> Counter {
+        let labels = vec![interface.label(), Label::from_static_parts("outcome", outcome)];
         self.recorder.register_counter(&Key::from_parts(REQUESTS, labels), &METADATA)
     }
 }
@@ -212,15 +238,20 @@ mod tests {
         let page = metrics.render(&idle(), 0);
         for line in [
             "densecloud_requests_total{interface=\"http\",outcome=\"ok\"} 0",
+            "densecloud_requests_total{interface=\"grpc\",outcome=\"ok\"} 0",
             "densecloud_points_in_total 0",
             "densecloud_queue_points 0",
+            "# TYPE process_resident_memory_bytes gauge",
+            "# TYPE process_cpu_seconds_total counter",
             "densecloud_model_info{model=\"default\",sha256=\"ab12\",provider=\"cpu\"} 1",
         ] {
             assert!(page.lines().any(|l| l == line), "{line} is missing in\n{page}");
         }
         metrics.begun();
         metrics.begun();
-        metrics.ended("ok", Duration::from_millis(20));
+        metrics.ended(Interface::Http, "ok", Duration::from_millis(20));
+        metrics.begun();
+        metrics.ended(Interface::Grpc, "ok", Duration::from_millis(20));
         metrics.stage("units", Duration::from_secs(2));
         metrics.points(10, 40);
         metrics.admitted();
@@ -229,6 +260,7 @@ mod tests {
         let page = metrics.render(&idle(), 99);
         for line in [
             "densecloud_requests_total{interface=\"http\",outcome=\"ok\"} 1",
+            "densecloud_requests_total{interface=\"grpc\",outcome=\"ok\"} 1",
             "densecloud_request_duration_seconds_bucket{interface=\"http\",le=\"0.01\"} 0",
             "densecloud_request_duration_seconds_bucket{interface=\"http\",le=\"0.05\"} 1",
             "densecloud_stage_duration_seconds_count{stage=\"units\"} 1",
@@ -248,14 +280,17 @@ mod tests {
     fn the_manual_names_every_series() {
         let manual = include_str!("../../docs/http.md");
         let metrics = Metrics::new(&ModelInfo::default()).expect("metrics");
-        metrics.ended("ok", Duration::ZERO);
+        metrics.ended(Interface::Http, "ok", Duration::ZERO);
         metrics.stage("units", Duration::ZERO);
         metrics.jobs(&[(State::Queued, 1)]);
         metrics.refused("queue-full");
         metrics.worked(Duration::ZERO, Duration::ZERO);
         let page = metrics.render(&idle(), 0);
-        let names: Vec<_> =
-            page.lines().filter_map(|line| line.strip_prefix("# TYPE ")?.split(' ').next()).collect();
+        let names: Vec<_> = page
+            .lines()
+            .filter(|line| line.contains(" densecloud_"))
+            .filter_map(|line| line.strip_prefix("# TYPE ")?.split(' ').next())
+            .collect();
         assert_eq!(names.len(), 16, "{names:?}");
         for name in names {
             assert!(manual.contains(&format!("`{name}`")), "{name} is not in the manual");

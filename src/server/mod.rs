@@ -1,4 +1,4 @@
-//! The HTTP interface: `POST /upsample` over the [`engine`](crate::engine), `/jobs` over
+//! The HTTP and gRPC interfaces: `POST /upsample` over the [`engine`](crate::engine), `/jobs` over
 //! [`jobs`](crate::jobs), and what operators need around it (`/healthz`, `/readyz`, `/metrics`).
 //!
 //! | file | holds |
@@ -9,13 +9,16 @@
 //! | `record` | around each request: id, log, metrics |
 //! | `upsample` | the handler, from body to body |
 //! | `inference` | the same work as tensors in JSON or binary: the Open Inference Protocol |
+//! | `grpc` | the same work in messages, on the same port; health and reflection |
 //! | `jobs`, `jobs_document`, `jobs_result`, `jobs_events` | jobs: taking, telling, sending, watching |
 //! | `jobs_work` | what a job is about, for the threads that run it |
-//! | `query`, `upload`, `decode`, `download` | its parts: parameters, the body in, what compresses it, the body out |
+//! | `compress` | around answers: gzip or zstd, where the client asks for it |
+//! | `query`, `form`, `upload`, `decode`, `download` | its parts: parameters, forms, the body in, what compresses it, the body out |
 //! | `problem` | every failure, its status and its words: the one table |
 //! | `openapi` | the interface described, for programs and for people |
 //! | `client`, `keys` | who asks |
 //! | `ticket`, `deadline` | what a request has been promised: points, and until when |
+//! | `cors` | pages from other sites |
 //! | `config`, `budget`, `readiness`, `metrics`, `request_id` | one noun each |
 //!
 //! Invariants: nothing blocks the async threads; no wait is without a deadline; memory grows with
@@ -28,10 +31,14 @@ mod activity;
 mod app;
 mod budget;
 mod client;
+mod compress;
 mod config;
+mod cors;
 mod deadline;
 mod decode;
 mod download;
+mod form;
+mod grpc;
 mod inference;
 mod jobs;
 mod jobs_document;
@@ -53,13 +60,15 @@ mod upsample;
 use std::sync::Arc;
 use std::time::Duration;
 
+use sd_notify::NotifyState;
 use tokio::net::TcpListener;
 use tokio::sync::watch;
 use tokio::task::{JoinSet, spawn_blocking};
-use tokio::time::{Instant, interval, timeout_at};
+use tokio::time::{Instant, interval, sleep, timeout_at};
 
 pub use client::Access;
 pub use config::{Config, ConfigError, Limits, ModelInfo, Timeouts};
+pub use cors::CorsOrigin;
 pub use keys::{Keys, KeysError};
 
 use crate::engine::{Engine, EngineError};
@@ -95,8 +104,9 @@ const FOLD: Duration = Duration::from_secs(5);
 /// [`Timeouts::drain`].
 ///
 /// Connections are taken at once; `/readyz` tells when the model has warmed up. After `shutdown`,
-/// `/readyz` says so first, new work is refused with 503, and probes are still answered until the
-/// last request is over. What is not over by the deadline is cancelled.
+/// `/readyz` says so first; after [`Timeouts::lead`], new work is refused with 503, and probes are
+/// still answered until the last request is over. What is not over by the deadline is cancelled.
+/// A service manager that waits to be told (systemd's `Type=notify`) is told of both ends.
 ///
 /// # Errors
 /// See [`ServeError`].
@@ -116,6 +126,7 @@ pub async fn run(
             Ok(Ok(())) => {
                 tracing::info!(seconds = start.elapsed().as_secs_f64(), "ready");
                 app.readiness.ready();
+                tell_manager(NotifyState::Ready);
                 if let Err(error) = jobs_work::start(&app) {
                     return internal(&error);
                 }
@@ -178,6 +189,13 @@ async fn join_jobs(app: &App, deadline: Instant) {
 /// that.
 async fn drain(app: &App, shutdown: impl Future<Output = ()>, close: &watch::Sender<bool>) -> Instant {
     shutdown.await;
+    tell_manager(NotifyState::Stopping);
+    let lead = app.config.timeouts.lead;
+    // Who was never told that it is ready sends nothing yet.
+    if app.readiness.leave() && !lead.is_zero() {
+        tracing::info!(seconds = lead.as_secs_f64(), "leaving: not ready any more, still serving");
+        sleep(lead).await;
+    }
     app.readiness.drain();
     stop_jobs(app).await;
     let mut in_flight = app.in_flight.subscribe();
@@ -188,6 +206,13 @@ async fn drain(app: &App, shutdown: impl Future<Output = ()>, close: &watch::Sen
     }
     close.send_replace(true);
     deadline
+}
+
+/// Without effect where no manager waits.
+fn tell_manager(state: NotifyState<'_>) {
+    if let Err(error) = sd_notify::notify(&[state]) {
+        tracing::warn!(%error, "the service manager cannot be told");
+    }
 }
 
 /// Lets connections send what they still buffer, and drops those that take longer.

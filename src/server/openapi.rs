@@ -82,6 +82,8 @@ mod tests {
         assert_eq!(header.to_ascii_lowercase(), deadline::HEADER);
         assert_eq!(names, query::NAMES);
         assert_eq!(keys(&upsample["responses"]["200"]["content"]), Format::MEDIA_TYPES.into());
+        let form = keys(&description["components"]["schemas"]["Form"]["properties"]);
+        assert_eq!(form, query::NAMES.into_iter().chain(["cloud"]).collect());
         let request = &description["components"]["schemas"]["InferenceRequest"]["properties"];
         let expected = inference::PARAMETERS.into_iter().chain(["binary_data_output", "priority", "timeout"]);
         assert_eq!(keys(&request["parameters"]["properties"]), expected.collect());

@@ -4,12 +4,15 @@
 //! part of `type` is stable and is also the `outcome` label in `/metrics`, and `detail` names the
 //! limit and the setting that lifts it.
 
+use std::collections::HashMap;
 use std::time::Duration;
 
 use axum::body::Body;
 use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use serde::Serialize;
+use tonic::{Code, Status};
+use tonic_types::{ErrorDetails, StatusExt};
 
 use super::decode::Coding;
 use crate::cascade::CascadeError;
@@ -102,7 +105,9 @@ pub(super) enum Problem {
         wanted: String,
     },
     /// The body is compressed in a way that is not read.
-    #[error("Content-Encoding {0:?} is not supported; there are gzip and deflate, or send the body as it is")]
+    #[error(
+        "Content-Encoding {0:?} is not supported; there are gzip, deflate and zstd, or send the body as it is"
+    )]
     UnsupportedEncoding(String),
     /// A readable cloud that cannot be upsampled: too few points, all equal.
     #[error("{0}")]
@@ -552,6 +557,55 @@ impl Problem {
     }
 }
 
+/// The most characters of a problem's words in a gRPC status, which is sent as headers.
+const LONGEST_STATUS: usize = 1000;
+
+impl Problem {
+    /// The same for gRPC. Its code follows from the status, so that there is one table.
+    pub(super) fn grpc(&self, request_id: &str) -> Status {
+        let Row { status, name, setting, .. } = self.row();
+        let code = match (self, status.as_u16()) {
+            // No such method, in gRPC's words.
+            (Self::NotFound | Self::MethodNotAllowed, _) => Code::Unimplemented,
+            (_, 400 | 406 | 415 | 422) => Code::InvalidArgument,
+            (_, 401) => Code::Unauthenticated,
+            (_, 403) => Code::PermissionDenied,
+            (_, 404) => Code::NotFound,
+            (_, 408 | 504) => Code::DeadlineExceeded,
+            (_, 409) => Code::FailedPrecondition,
+            (_, 413 | 429 | 507) => Code::ResourceExhausted,
+            (_, 416) => Code::OutOfRange,
+            (_, 501) => Code::Unimplemented,
+            (_, 503) => Code::Unavailable,
+            _ => Code::Internal,
+        };
+        let words = match self {
+            Self::NotFound | Self::MethodNotAllowed => {
+                "no such method; reflection lists those that there are".to_owned()
+            }
+            _ => self.to_string(),
+        };
+        let words: String = words.chars().take(LONGEST_STATUS).collect();
+        let mut details = ErrorDetails::new();
+        let told =
+            [("limit", self.limit().map(|limit| limit.to_string())), ("setting", setting.map(str::to_owned))];
+        let told = told.into_iter().filter_map(|(key, value)| Some((key.to_owned(), value?)));
+        details.set_error_info(
+            name.to_uppercase().replace('-', "_"),
+            "densecloud",
+            told.collect::<HashMap<_, _>>(),
+        );
+        details.set_request_info(request_id, "");
+        if let Some(wait) = self.retry_after() {
+            details.set_retry_info(Some(wait));
+        }
+        if let Self::Parameter { name, why } = self {
+            details.add_bad_request_violation(name, why.chars().take(LONGEST_STATUS).collect::<String>());
+        }
+        Status::with_error_details(code, words, details)
+    }
+}
+
 /// The body of an error under `/v2`, as the Open Inference Protocol has it.
 pub(super) fn inference_error(problem: &Problem) -> Body {
     Body::from(serde_json::json!({ "error": problem.to_string() }).to_string())
@@ -677,6 +731,45 @@ mod tests {
             assert_eq!(response.headers().contains_key("retry-after"), matches!(status, 429 | 503));
             assert_eq!(response.headers().contains_key("www-authenticate"), status == 401);
         }
+    }
+
+    #[test]
+    fn every_problem_has_a_grpc_status_with_the_same_words() {
+        for (problem, status, name) in all() {
+            let grpc = problem.grpc("id-1");
+            let expected = match status {
+                500 => Code::Internal,
+                503 => Code::Unavailable,
+                413 | 507 => Code::ResourceExhausted,
+                408 | 504 => Code::DeadlineExceeded,
+                501 | 405 => Code::Unimplemented,
+                _ => grpc.code(),
+            };
+            assert_eq!(grpc.code(), expected, "{name}");
+            assert!(
+                grpc.code() != Code::Unknown && (status < 500) == (grpc.code() != Code::Internal)
+                    || status > 500
+            );
+            let details = grpc.get_error_details();
+            let info = details.error_info().expect("info");
+            assert_eq!(info.reason.to_lowercase().replace('_', "-"), name);
+            assert_eq!(info.metadata.get("setting").map(String::as_str), problem.row().setting);
+            assert_eq!(details.request_info().expect("info").request_id, "id-1");
+            assert_eq!(details.retry_info().is_some(), matches!(status, 429 | 503), "{name}");
+            assert!(!grpc.message().contains("secret"));
+        }
+        let manual = include_str!("../../docs/grpc.md");
+        let rows = manual.lines().filter(|line| line.starts_with("| `"));
+        let rows: Vec<Vec<&str>> = rows.map(|row| row.split('|').map(str::trim).collect()).collect();
+        for (problem, status, name) in
+            all().into_iter().filter(|(_, status, _)| ![404, 409, 416].contains(status))
+        {
+            let row = rows.iter().find(|row| row[2].split(", ").any(|s| s == status.to_string()));
+            let code = row.unwrap_or_else(|| panic!("no row for {name}"))[1].replace(['_', '`'], "");
+            assert_eq!(code, format!("{:?}", problem.grpc("").code()).to_uppercase(), "{name}");
+        }
+        let long = Problem::parameter("attributes", "x".repeat(100_000)).grpc("id-1");
+        assert!(long.details().len() + long.message().len() < 8000, "it fits into headers");
     }
 
     #[test]

@@ -23,6 +23,18 @@ pub(super) const NAMES: [&str; 10] = [
     "sensor",
 ];
 
+/// Those of which a request has one.
+pub(super) const GOALS: [&str; 4] = ["ratio", "points", "spacing", "density"];
+
+/// The query's names and values.
+///
+/// # Errors
+/// [`Problem::Parameter`] where it is none.
+pub(super) fn pairs(uri: &Uri) -> Result<Vec<(String, String)>, Problem> {
+    let pairs = Query::try_from_uri(uri).map_err(|error| Problem::parameter("query", error.to_string()));
+    pairs.map(|Query(pairs)| pairs)
+}
+
 /// What a request asks for, in the query of its URI.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Parameters {
@@ -41,9 +53,7 @@ impl Parameters {
     /// # Errors
     /// [`Problem::Parameter`] naming the parameter and what it may be.
     pub(super) fn parse(uri: &Uri) -> Result<Self, Problem> {
-        let Query(pairs) = Query::<Vec<(String, String)>>::try_from_uri(uri)
-            .map_err(|error| Problem::parameter("query", error.to_string()))?;
-        Self::from_pairs(&pairs)
+        Self::from_pairs(&pairs(uri)?)
     }
 
     /// As [`Parameters::parse`], from names and values that came in another way.

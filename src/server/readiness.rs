@@ -4,11 +4,13 @@ use tokio::sync::watch;
 
 use super::problem::Problem;
 
-/// The three phases of a server's life, in order; it never goes back.
+/// The phases of a server's life, in order; it never goes back.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-enum Phase {
+pub(super) enum Phase {
     WarmingUp,
     Ready,
+    /// Takes work, but tells probes that it is about to stop taking it.
+    Leaving,
     Draining,
 }
 
@@ -28,6 +30,17 @@ impl Readiness {
         self.advance(Phase::Ready);
     }
 
+    /// Probes are told that the end is near. False, and without effect, unless ready.
+    pub(super) fn leave(&self) -> bool {
+        self.0.send_if_modified(|phase| {
+            let ready = *phase == Phase::Ready;
+            if ready {
+                *phase = Phase::Leaving;
+            }
+            ready
+        })
+    }
+
     /// No more work is taken.
     pub(super) fn drain(&self) {
         self.advance(Phase::Draining);
@@ -40,8 +53,30 @@ impl Readiness {
     pub(super) fn check(&self) -> Result<(), Problem> {
         match *self.0.borrow() {
             Phase::WarmingUp => Err(Problem::WarmingUp),
-            Phase::Ready => Ok(()),
+            Phase::Ready | Phase::Leaving => Ok(()),
             Phase::Draining => Err(Problem::Draining),
+        }
+    }
+
+    /// Tells of each change of what [`Readiness::check`] and [`Readiness::probe`] say.
+    pub(super) fn changes(&self) -> watch::Receiver<Phase> {
+        self.0.subscribe()
+    }
+
+    /// Resolves once the server stops.
+    pub(super) async fn draining(&self) {
+        // Cannot fail: `self` holds the sender.
+        let _ = self.0.subscribe().wait_for(|phase| *phase == Phase::Draining).await;
+    }
+
+    /// Whether work should be sent here, or why not: what probes are told.
+    ///
+    /// # Errors
+    /// As [`Readiness::check`], and [`Problem::Draining`] already when leaving.
+    pub(super) fn probe(&self) -> Result<(), Problem> {
+        match *self.0.borrow() {
+            Phase::Leaving => Err(Problem::Draining),
+            _ => self.check(),
         }
     }
 
@@ -64,14 +99,19 @@ mod tests {
         assert_eq!(readiness.check(), Err(Problem::WarmingUp));
         readiness.ready();
         assert_eq!(readiness.check(), Ok(()));
+        assert!(readiness.leave());
+        readiness.ready();
+        assert_eq!((readiness.check(), readiness.probe()), (Ok(()), Err(Problem::Draining)));
         readiness.drain();
         readiness.ready();
+        assert!(!readiness.leave());
         assert_eq!(readiness.check(), Err(Problem::Draining));
     }
 
     #[test]
     fn a_server_stopped_while_warming_up_never_gets_ready() {
         let readiness = Readiness::new();
+        assert!(!readiness.leave());
         readiness.drain();
         readiness.ready();
         assert_eq!(readiness.check(), Err(Problem::Draining));

@@ -1,7 +1,7 @@
 //! Around every request: its id, its line in the log, its place in the metrics.
 
 use std::pin::Pin;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::task::{Context, Poll};
 use std::time::Instant;
 
@@ -16,15 +16,59 @@ use tracing::{Instrument, Span};
 use super::accept::Connection;
 use super::activity::Busy;
 use super::app::App;
-use super::inference;
+use super::metrics::Interface;
 use super::problem::{Problem, inference_error};
 use super::request_id::{self, RequestId};
+use super::{grpc, inference};
 
 /// Points in and out of an answered request; a handler leaves them on its response for the log.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Points {
     pub(super) read: u64,
     pub(super) made: u64,
+}
+
+/// On a response: it begins before the work is done, so that only its handler knows when the client is
+/// waited for, and says it by [`Ongoing`].
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Early;
+
+/// What a handler tells of its request after its response has begun: in gRPC the outcome comes last.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Ongoing(Arc<Mutex<Told>>);
+
+#[derive(Debug, Default)]
+struct Told {
+    busy: Option<Busy>,
+    points: Option<Points>,
+    /// Its outcome and its words.
+    problem: Option<(&'static str, String)>,
+}
+
+impl Ongoing {
+    fn told(&self) -> MutexGuard<'_, Told> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// From now on it is the client who is waited for.
+    pub(super) fn sending(&self) {
+        if let Some(busy) = &mut self.told().busy {
+            busy.sending();
+        }
+    }
+
+    /// There is a result.
+    pub(super) fn points(&self, points: Points) {
+        self.told().points = Some(points);
+    }
+
+    /// There is none.
+    pub(super) fn problem(&self, problem: &Problem) {
+        if let Problem::Internal(why) = problem {
+            tracing::error!(why, "internal failure");
+        }
+        self.told().problem = Some((problem.outcome(), problem.to_string()));
+    }
 }
 
 /// The outermost layer. The record it keeps ends with the response's last byte, not its first, and
@@ -39,20 +83,26 @@ pub(super) async fn record(State(app): State<Arc<App>>, mut request: Request, ne
         client = tracing::field::Empty, method = %request.method(), path = request.uri().path(),
     );
     let busy = connection.map(|connection| connection.activity.begin());
-    let mut record = Record::begin(app, request.uri().path(), span.clone(), busy);
+    let ongoing = Ongoing::default();
+    ongoing.told().busy = busy;
+    request.extensions_mut().insert(ongoing.clone());
+    let is_grpc = grpc::is_call(request.headers());
+    let interface = if is_grpc { Interface::Grpc } else { Interface::Http };
+    let mut record = Record::begin(app, request.uri().path(), span.clone(), interface, ongoing);
     let inference = inference::is_path(request.uri().path());
     let bodyless = request.method() == Method::HEAD;
     let mut response = next.run(request).instrument(span).await;
     record.status = Some(response.status());
     record.points = response.extensions_mut().remove();
-    response.headers_mut().insert(request_id::HEADER, id.header_value());
     let verdict = match response.extensions_mut().remove::<Problem>() {
         None => "ok",
         Some(problem) => {
             if let Problem::Internal(why) = &problem {
                 tracing::error!(parent: &record.span, why, "internal failure");
             }
-            if inference {
+            if is_grpc {
+                response = grpc::refusal(&problem, id.as_str());
+            } else if inference {
                 *response.body_mut() = inference_error(&problem);
                 let json = HeaderValue::from_static("application/json");
                 response.headers_mut().insert(header::CONTENT_TYPE, json);
@@ -63,6 +113,10 @@ pub(super) async fn record(State(app): State<Arc<App>>, mut request: Request, ne
             problem.outcome()
         }
     };
+    response.headers_mut().insert(request_id::HEADER, id.header_value());
+    if response.extensions_mut().remove::<Early>().is_none() {
+        record.ongoing.sending();
+    }
     let length = match response.headers().get(header::CONTENT_LENGTH) {
         _ if bodyless => Some(0),
         Some(length) => length.to_str().ok().and_then(|length| length.parse().ok()),
@@ -78,7 +132,8 @@ struct Record {
     probe: bool,
     start: Instant,
     span: Span,
-    busy: Option<Busy>,
+    interface: Interface,
+    ongoing: Ongoing,
     status: Option<StatusCode>,
     points: Option<Points>,
     why: Option<String>,
@@ -86,8 +141,10 @@ struct Record {
 }
 
 impl Record {
-    fn begin(app: Arc<App>, path: &str, span: Span, busy: Option<Busy>) -> Self {
-        let probe = matches!(path, "/healthz" | "/readyz" | "/metrics") || inference::is_probe(path);
+    fn begin(app: Arc<App>, path: &str, span: Span, interface: Interface, ongoing: Ongoing) -> Self {
+        let probe = matches!(path, "/healthz" | "/readyz" | "/metrics")
+            || inference::is_probe(path)
+            || grpc::is_probe(path);
         if !probe {
             app.in_flight.send_modify(|count| *count += 1);
             app.metrics.begun();
@@ -97,7 +154,8 @@ impl Record {
             probe,
             start: Instant::now(),
             span,
-            busy,
+            interface,
+            ongoing,
             status: None,
             points: None,
             why: None,
@@ -109,11 +167,17 @@ impl Record {
 
 impl Drop for Record {
     fn drop(&mut self) {
+        let Told { busy, points, problem } = std::mem::take(&mut *self.ongoing.told());
+        drop(busy);
         if self.probe {
             return;
         }
+        self.points = self.points.or(points);
+        if let ("ok", Some((outcome, why))) = (self.outcome, problem) {
+            (self.outcome, self.why) = (outcome, Some(why));
+        }
         let took = self.start.elapsed();
-        self.app.metrics.ended(self.outcome, took);
+        self.app.metrics.ended(self.interface, self.outcome, took);
         tracing::info!(
             parent: &self.span, outcome = self.outcome, status = self.status.map(|s| s.as_u16()),
             points_in = self.points.map(|p| p.read), points_out = self.points.map(|p| p.made),
@@ -135,10 +199,7 @@ struct Recorded {
 }
 
 impl Recorded {
-    fn new(body: Body, mut record: Record, verdict: &'static str, left: Option<u64>) -> Self {
-        if let Some(busy) = &mut record.busy {
-            busy.sending();
-        }
+    fn new(body: Body, record: Record, verdict: &'static str, left: Option<u64>) -> Self {
         let mut recorded = Self { body, record, verdict, left };
         recorded.sent(0);
         recorded
@@ -171,7 +232,11 @@ impl HttpBody for Recorded {
             Poll::Ready(Some(Ok(frame))) => {
                 let bytes = frame.data_ref().map_or(0, Bytes::len) as u64;
                 self.sent(bytes);
-                if let Some(busy) = &self.record.busy {
+                if frame.is_trailers() {
+                    // Nothing comes after them, and so nobody asks for it.
+                    self.record.outcome = self.verdict;
+                }
+                if let Some(busy) = &self.record.ongoing.told().busy {
                     busy.piece();
                 }
             }

@@ -55,16 +55,10 @@ impl Upload {
         &mut self,
         headers: &HeaderMap,
         app: &App,
-        mut known: impl FnMut(u64) -> Result<(), Problem>,
+        known: impl FnMut(u64) -> Result<(), Problem>,
     ) -> Result<Received, Problem> {
-        let mut header_seen = false;
-        let judge = |bytes: &[u8], new| {
-            if !header_seen && header_is_there(bytes, new) {
-                header_seen = true;
-                check_header(bytes, app, &mut known)?;
-            }
-            Ok(())
-        };
+        let mut check = HeaderCheck::new(app, known);
+        let judge = |bytes: &[u8], new| check.judge(bytes, new);
         self.receive_judged(headers, app, judge).await
     }
 
@@ -76,33 +70,21 @@ impl Upload {
         app: &App,
         mut judge: impl FnMut(&[u8], usize) -> Result<(), Problem>,
     ) -> Result<Received, Problem> {
-        let start = Instant::now();
         let coding = Coding::of(headers)?;
-        let limit = app.config.limits.body_bytes;
-        // From Content-Length, or from HTTP/2's END_STREAM.
-        if self.body.size_hint().lower() > limit {
-            return Err(Problem::BodyTooLarge { limit });
-        }
-        let held = app.budget.hold(0).ok_or_else(|| app.held_full())?;
-        let refused = |refusal| match refusal {
-            Refusal::TooLarge => Problem::BodyTooLarge { limit },
-            Refusal::NoRoom => app.held_full(),
-            Refusal::Broken(why) => Problem::Interrupted(why),
-        };
-        let mut decoder = Decoder::new(coding, held, limit);
-        let mut sent = 0;
+        self.check_length(app.config.limits.body_bytes, app)?;
+        let mut arrival = Arrival::begin(coding, app)?;
         while let Some(chunk) = self.next(app.config.timeouts.stall).await? {
-            // Compressed, endlessly much may stand for nothing.
-            sent += chunk.len() as u64;
-            if sent > limit {
-                return Err(Problem::BodyTooLarge { limit });
-            }
-            let before = decoder.bytes().len();
-            decoder = decoder.add(chunk).await.map_err(refused)?;
-            judge(decoder.bytes(), decoder.bytes().len() - before)?;
+            arrival = arrival.add(chunk, &mut judge).await?;
         }
-        let (bytes, held) = decoder.finish().map_err(refused)?;
-        Ok(Received { bytes, _held: held, took: start.elapsed() })
+        arrival.finish()
+    }
+
+    /// Refuses a body that is known to be longer than `most`: from Content-Length, or from HTTP/2's END_STREAM.
+    pub(super) fn check_length(&self, most: u64, app: &App) -> Result<(), Problem> {
+        if self.body.size_hint().lower() > most {
+            return Err(Problem::BodyTooLarge { limit: app.config.limits.body_bytes });
+        }
+        Ok(())
     }
 
     /// Bytes in the whole body, where that is known beforehand.
@@ -132,13 +114,19 @@ impl Upload {
     }
 
     /// The next piece, or nothing at the end.
-    async fn next(&mut self, stall: Duration) -> Result<Option<Bytes>, Problem> {
+    pub(super) async fn next(&mut self, stall: Duration) -> Result<Option<Bytes>, Problem> {
         loop {
             self.waits = false;
             match timeout(stall, self.body.frame()).await {
                 Err(_) => return Err(Problem::UploadStalled { limit: stall }),
                 Ok(None) => return Ok(None),
-                Ok(Some(Err(error))) => return Err(Problem::Interrupted(error.to_string())),
+                // What is sent in messages, and not as one file, may be wrong in itself.
+                Ok(Some(Err(error))) => {
+                    return Err(match error.into_inner().downcast::<Problem>() {
+                        Ok(problem) => *problem,
+                        Err(error) => Problem::Interrupted(error.to_string()),
+                    });
+                }
                 // Trailers are no part of a cloud.
                 Ok(Some(Ok(frame))) => {
                     if let Ok(data) = frame.into_data() {
@@ -147,6 +135,56 @@ impl Upload {
                 }
             }
         }
+    }
+}
+
+/// A cloud so far.
+pub(super) struct Arrival<'a> {
+    app: &'a App,
+    decoder: Decoder,
+    /// Bytes as they came.
+    sent: u64,
+    start: Instant,
+}
+
+impl<'a> Arrival<'a> {
+    /// Of a cloud that is compressed like this.
+    pub(super) fn begin(coding: Coding, app: &'a App) -> Result<Self, Problem> {
+        let held = app.budget.hold(0).ok_or_else(|| app.held_full())?;
+        let decoder = Decoder::new(coding, held, app.config.limits.body_bytes);
+        let decoder = decoder.map_err(|refusal| refused(app, refusal))?;
+        Ok(Self { app, decoder, sent: 0, start: Instant::now() })
+    }
+
+    /// Takes a piece, and shows `judge` all that has arrived, and how much of it is new.
+    pub(super) async fn add(
+        self,
+        piece: Bytes,
+        mut judge: impl FnMut(&[u8], usize) -> Result<(), Problem>,
+    ) -> Result<Self, Problem> {
+        let Self { app, decoder, mut sent, start } = self;
+        // Compressed, endlessly much may stand for nothing.
+        sent += piece.len() as u64;
+        if sent > app.config.limits.body_bytes {
+            return Err(refused(app, Refusal::TooLarge));
+        }
+        let before = decoder.bytes().len();
+        let decoder = decoder.add(piece).await.map_err(|refusal| refused(app, refusal))?;
+        judge(decoder.bytes(), decoder.bytes().len() - before)?;
+        Ok(Self { app, decoder, sent, start })
+    }
+
+    pub(super) fn finish(self) -> Result<Received, Problem> {
+        let (bytes, held) = self.decoder.finish().map_err(|refusal| refused(self.app, refusal))?;
+        Ok(Received { bytes, _held: held, took: self.start.elapsed() })
+    }
+}
+
+fn refused(app: &App, refusal: Refusal) -> Problem {
+    match refusal {
+        Refusal::TooLarge => Problem::BodyTooLarge { limit: app.config.limits.body_bytes },
+        Refusal::NoRoom => app.held_full(),
+        Refusal::Broken(why) => Problem::Interrupted(why),
     }
 }
 
@@ -197,21 +235,35 @@ fn header_is_there(bytes: &[u8], new: usize) -> bool {
     bytes[from..].windows(END.len() + 1).any(|w| w.starts_with(END) && w[END.len()].is_ascii_whitespace())
 }
 
-/// Refuses from the first bytes alone what could only be refused later.
-fn check_header(
-    bytes: &[u8],
-    app: &App,
-    known: &mut impl FnMut(u64) -> Result<(), Problem>,
-) -> Result<(), Problem> {
-    match CloudReader::open(bytes, reader_limits(app)) {
-        Ok(reader) => reader.header().points.map_or(Ok(()), known),
-        // Text is cut off somewhere here, so only the whole of it can be judged.
-        Err(FormatError::Malformed { .. } | FormatError::Truncated { .. } | FormatError::Empty(_))
-            if !is_ply(bytes) =>
-        {
-            Ok(())
+/// Refuses from the first bytes of a file what could only be refused later.
+pub(super) struct HeaderCheck<'a, F> {
+    app: &'a App,
+    /// Hears the points in.
+    known: F,
+    done: bool,
+}
+
+impl<'a, F: FnMut(u64) -> Result<(), Problem>> HeaderCheck<'a, F> {
+    pub(super) fn new(app: &'a App, known: F) -> Self {
+        Self { app, known, done: false }
+    }
+
+    /// To be shown all that has arrived, of which `new` bytes are new.
+    pub(super) fn judge(&mut self, bytes: &[u8], new: usize) -> Result<(), Problem> {
+        if self.done || !header_is_there(bytes, new) {
+            return Ok(());
         }
-        Err(error) => Err(error.into()),
+        self.done = true;
+        match CloudReader::open(bytes, reader_limits(self.app)) {
+            Ok(reader) => reader.header().points.map_or(Ok(()), &mut self.known),
+            // Text is cut off somewhere here, so only the whole of it can be judged.
+            Err(FormatError::Malformed { .. } | FormatError::Truncated { .. } | FormatError::Empty(_))
+                if !is_ply(bytes) =>
+            {
+                Ok(())
+            }
+            Err(error) => Err(error.into()),
+        }
     }
 }
 

@@ -15,7 +15,9 @@ use tokio::task::spawn_blocking;
 use super::accepted::accepted;
 use super::app::App;
 use super::budget::Held;
+use super::compress::AsIs;
 use super::download::{self, Dense, result_bytes};
+use super::form::Asking;
 use super::problem::Problem;
 use super::query::{self, Parameters};
 use super::record::Points;
@@ -56,23 +58,27 @@ async fn answer(
     headers: &HeaderMap,
     upload: &mut Upload,
 ) -> Result<Response, Problem> {
-    let parameters = Parameters::parse(uri)?;
     let wanted = accepted(headers)?;
     ticket.check()?;
     ticket.deadline.enter("of upload");
-    let known = |points| ticket.reserve(points, parameters.points_out(points));
-    let received = upload.receive(headers, app, known).await?;
+    let known = |points_in, points_out| ticket.reserve(points_in, points_out);
+    let Asking { parameters, received, .. } = Asking::receive(upload, uri, headers, app, known).await?;
     let took = received.took;
     let read = move |app: &App| Ok((Order::read(app, &received, parameters, wanted)?, ()));
-    let (done, ()) = run(app, ticket, took, read).await?;
+    let (done, ()) = run(app, ticket, took, read, |_| {}).await?;
     let points = done.points();
     let length = done.format.encoded_len(points.made, &done.dense.attributes, &done.dense.origin);
     let mut headers = done.headers();
     if let Some(length) = length {
         headers.insert(header::CONTENT_LENGTH, length.into());
     }
+    let packed = done.about.packed;
     let body = download::body(done.dense, done.format, done.held);
-    Ok((headers, Extension(points), body).into_response())
+    let mut response = (headers, Extension(points), body).into_response();
+    if packed {
+        response.extensions_mut().insert(AsIs);
+    }
+    Ok(response)
 }
 
 /// A cloud, and what is wanted of it.
@@ -121,13 +127,14 @@ impl Done {
     }
 }
 
-/// Upsamples what `read` makes of a body that took `upload` to arrive, for the holder of a ticket; `read` runs on a blocking thread,
-/// and what else it gives comes back with the result.
+/// Upsamples what `read` makes of a body that took `upload` to arrive, for the holder of a ticket; `read` runs on a
+/// blocking thread, and what else it gives comes back with the result. `begun` is shown the job when the engine has taken it.
 pub(super) async fn run<T: Send + 'static>(
     app: &Arc<App>,
     ticket: Ticket,
     upload: Duration,
     read: impl FnOnce(&App) -> Result<(Order, T), Problem> + Send + 'static,
+    begun: impl FnOnce(&Job),
 ) -> Result<(Done, T), Problem> {
     let mut timing = Timing::default();
     timing.add(app, "upload", upload);
@@ -145,6 +152,7 @@ pub(super) async fn run<T: Send + 'static>(
     timing.add(app, "parse", start.elapsed());
     let start = Instant::now();
     let Submitted { job, held, format, origin, mut about } = submitted;
+    begun(&job);
     let outcome = job.await.map_err(|error| match error {
         // It knows of the upload, too.
         EngineError::Deadline { .. } => deadline.over(),
@@ -170,6 +178,9 @@ pub(super) struct About {
     pub(super) provenance: String,
     /// What its sender should know about how the cloud was read and made dense.
     pub(super) warnings: Vec<String>,
+    /// Whether its format is compressed in itself; false of jobs from before this was kept.
+    #[serde(default)]
+    pub(super) packed: bool,
 }
 
 impl About {
@@ -262,7 +273,8 @@ pub(super) fn prepare(app: &App, order: Order) -> Result<Prepared, Problem> {
     let provenance = provenance::line(&app.config.model.name, &request);
     origin.comments.push(provenance.clone());
     let media_type = format.media_type().to_owned();
-    let about = About { media_type, points_in, points_out: points, provenance, warnings };
+    let packed = format.is_packed();
+    let about = About { media_type, points_in, points_out: points, provenance, warnings, packed };
     Ok(Prepared { request, room, format, origin, about })
 }
 

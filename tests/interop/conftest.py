@@ -1,8 +1,11 @@
 """What the tests against other programs share: the program, and a cloud with everything on it."""
 
+import contextlib
 import os
 import pathlib
+import re
 import subprocess
+import threading
 
 import numpy as np
 import pytest
@@ -23,6 +26,28 @@ def upsample():
         return done.stderr
 
     return run
+
+
+@contextlib.contextmanager
+def serving(*options):
+    """The address of a `densecloud serve` on a port that the system chooses, for as long as it is needed."""
+    command = [PROGRAM, "serve", "--port", "0", *map(str, options)]
+    # Its log names the port, and then that it is ready; it is read on so that the pipe stays empty.
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    address = None
+    for line in process.stderr:
+        if listening := re.search(r"address=(\S+)", line):
+            address = listening[1]
+        if "ready" in line:
+            break
+    rest = threading.Thread(target=process.stderr.read, daemon=True)
+    rest.start()
+    try:
+        assert address, "it has started"
+        yield address
+    finally:
+        process.terminate()
+        assert process.wait(60) == 0
 
 
 @pytest.fixture

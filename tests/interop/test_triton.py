@@ -1,9 +1,6 @@
 """The Open Inference Protocol against Triton's own client."""
 
 import contextlib
-import re
-import subprocess
-import threading
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -11,29 +8,13 @@ import pytest
 from tritonclient import http
 from tritonclient.utils import InferenceServerException, np_to_triton_dtype
 
-from conftest import PROGRAM
+from conftest import serving
 
 
 @pytest.fixture(scope="module")
 def server():
-    """The address of a `densecloud serve` on a port that the system chooses."""
-    command = [PROGRAM, "serve", "--port", "0", "--max-points-in", "5000"]
-    # Its log names the port, and then that it is ready; it is read on so that the pipe stays empty.
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
-    address = None
-    for line in process.stderr:
-        if listening := re.search(r"address=(\S+)", line):
-            address = listening[1]
-        if "ready" in line:
-            break
-    rest = threading.Thread(target=process.stderr.read, daemon=True)
-    rest.start()
-    try:
-        assert address, "it has started"
+    with serving("--max-points-in", 5000) as address:
         yield address
-    finally:
-        process.terminate()
-        assert process.wait(60) == 0
 
 
 @pytest.fixture

@@ -42,7 +42,7 @@ fn wait_for(server: &Server, path: &str, wanted: &str) -> Value {
 }
 
 impl Server {
-    fn ask(&self, method: &str, target: &str, headers: &str, body: &[u8]) -> Reply {
+    pub(crate) fn ask(&self, method: &str, target: &str, headers: &str, body: &[u8]) -> Reply {
         let mut client = self.connect();
         let length = body.len();
         client.send(
@@ -203,7 +203,7 @@ fn jobs_are_listed_in_pages_the_newest_first() {
         }
     }
     assert_eq!(listed, paths);
-    for query in ["limit=0", "limit=101", "before=x", "size=3"] {
+    for query in ["limit=0", "limit=101", "before=x", "before=0", "size=3", "limit=2&limit=2"] {
         assert_eq!(server.get(&format!("/jobs?{query}")).problem_name(), "invalid-parameter", "{query}");
     }
 }
@@ -353,4 +353,41 @@ fn a_folder_belongs_to_one_server() {
     );
     let error = other.join().expect_err("locked");
     assert!(error.to_string().contains("--data-dir"), "{error}");
+}
+
+#[test]
+fn a_job_that_is_over_is_forgotten_in_time_and_its_key_with_it() {
+    let folder = folder();
+    let mut config = config(folder.path());
+    config.jobs.as_mut().expect("jobs").expiry = std::time::Duration::from_secs(1);
+    let backend = Scripted::new();
+    let server = Server::start(&backend, config);
+    let body = encode(&cloud(100), PLY);
+    let ask = || server.ask("POST", "/jobs?ratio=2", "idempotency-key: k-1\r\n", &body);
+    backend.shut();
+    let first = ask();
+    let path = first.header("location").expect("a location").to_owned();
+    assert_eq!((first.status, ask().status), (202, 200));
+    assert!(json(&server.get(&path))["expires"].is_null(), "not before it is over");
+    backend.open();
+    wait_until("it is forgotten", || server.get(&path).status == 404);
+    assert_eq!(server.get(&format!("{path}/result")).problem_name(), "no-such-job");
+    assert_eq!(std::fs::read_dir(folder.path().join("files")).expect("a folder").count(), 0);
+    assert_eq!(ask().status, 202, "the key is free again");
+}
+
+#[test]
+fn requests_at_once_under_one_key_are_one_job() {
+    let folder = folder();
+    let server = Server::start(&Scripted::new(), config(folder.path()));
+    let body = encode(&cloud(100), PLY);
+    let replies: Vec<Reply> = std::thread::scope(|scope| {
+        let ask = || server.ask("POST", "/jobs?ratio=2", "idempotency-key: k-1\r\n", &body);
+        let asking: Vec<_> = (0..8).map(|_| scope.spawn(ask)).collect();
+        asking.into_iter().map(|one| one.join().expect("no panic")).collect()
+    });
+    assert_eq!(replies.iter().filter(|reply| reply.status == 202).count(), 1);
+    assert_eq!(replies.iter().filter(|reply| reply.status == 200).count(), 7);
+    assert!(replies.iter().all(|reply| reply.header("location") == replies[0].header("location")));
+    assert_eq!(json(&server.get("/jobs"))["jobs"].as_array().expect("jobs").len(), 1);
 }

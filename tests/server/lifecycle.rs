@@ -64,6 +64,29 @@ fn a_stopping_server_says_so_finishes_what_it_has_and_ends() {
 }
 
 #[test]
+fn a_leaving_server_says_so_first_and_refuses_later() {
+    let backend = Scripted::new();
+    let mut config = Config::default();
+    config.timeouts.lead = Duration::from_millis(500);
+    let mut server = Server::start(&backend, config);
+    backend.shut();
+    let body = encode(&cloud(100), PLY);
+    let mut client = server.connect();
+    client.send_post("/upsample?ratio=4", &body);
+    server.wait_for_work();
+    server.stop();
+    wait_until("readiness flips", || server.get("/readyz").status == 503);
+    assert_eq!(server.get("/v2/health/ready").status, 503);
+    // Told before anything else, so it shows whether work is taken, and takes none.
+    let refused = || server.post("/upsample?ratio=99", &body);
+    wait_until("work is refused", || refused().status == 503);
+    assert_eq!(refused().problem_name(), "draining");
+    backend.open();
+    assert_eq!(client.reply().status, 200);
+    assert!(server.join().is_ok());
+}
+
+#[test]
 fn a_response_that_is_being_sent_is_sent_whole() {
     let mut server = Server::start(&Scripted::new(), Config::default());
     let mut client = server.connect();

@@ -4,6 +4,10 @@
 
 mod admission;
 mod answers;
+mod cors;
+mod encodings;
+mod forms;
+mod grpc;
 mod inference;
 mod jobs;
 mod lifecycle;

@@ -82,13 +82,13 @@ fn check_model(Path(named): &Named) -> Result<(), Problem> {
 }
 
 async fn ready(State(app): State<Arc<App>>) -> Result<impl IntoResponse, Problem> {
-    app.readiness.check()?;
+    app.readiness.probe()?;
     Ok(Json(serde_json::json!({ "ready": true })))
 }
 
 async fn model_ready(State(app): State<Arc<App>>, named: Named) -> Result<impl IntoResponse, Problem> {
     check_model(&named)?;
-    app.readiness.check()?;
+    app.readiness.probe()?;
     Ok(Json(serde_json::json!({ "name": MODEL, "ready": true })))
 }
 
@@ -151,7 +151,7 @@ async fn answer(
         // To the rest, a tensor is a NumPy array.
         Ok((Order { cloud, parameters, input, wanted: None }, reply))
     };
-    let (mut done, reply) = upsample::run(app, ticket, took, read).await?;
+    let (mut done, reply) = upsample::run(app, ticket, took, read, |_| {}).await?;
     if done.format != (Format::Npy { scalar: reply.datatype.scalar(), fields: false }) {
         let why = "FP32 is too coarse for these coordinates and this many points; send FP64";
         done.about.warnings.push(why.into());
