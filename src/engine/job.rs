@@ -195,7 +195,7 @@ pub(super) fn work(queue: &Queue, workers: &Workers, lane: Option<Lane>) {
         let Some(work) = task.take() else { continue };
         if task.is_late() {
             let Work { permit, result, .. } = work;
-            drop(permit);
+            drop((turn, permit));
             let _ = result.send(Err(task.late()));
             continue;
         }

@@ -111,16 +111,25 @@ pub enum StoreError {
 }
 
 impl StoreError {
-    /// Whether there is no room on the disk.
+    /// Whether there is no room on the disk, or for so large a file.
     #[must_use]
     pub fn is_full(&self) -> bool {
         match self {
             Self::Io(error) => {
-                matches!(error.kind(), io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded)
+                use io::ErrorKind as Kind;
+                matches!(error.kind(), Kind::StorageFull | Kind::QuotaExceeded | Kind::FileTooLarge)
             }
             Self::Database(error) => error.sqlite_error_code() == Some(ErrorCode::DiskFull),
             _ => false,
         }
+    }
+
+    /// Whether another program kept the database for itself for longer than a statement waits.
+    #[must_use]
+    pub fn is_busy(&self) -> bool {
+        matches!(self, Self::Database(error) if matches!(
+            error.sqlite_error_code(), Some(ErrorCode::DatabaseBusy | ErrorCode::DatabaseLocked)
+        ))
     }
 }
 
@@ -167,8 +176,8 @@ const FROM_1: (&str, &str) = (
 const COLUMNS: &str = "number, id, state, request, owner, client, request_id, points_in, points_out, attempts, created, \
                        started, finished, result, failure";
 
-/// How long a statement waits for a program that only looks at the database.
-const BUSY: Duration = Duration::from_secs(5);
+/// How long a statement waits for another program that has the database for itself, which no backup does.
+const BUSY: Duration = Duration::from_millis(500);
 
 impl Store {
     /// Opens the folder, made where it is missing, and brings an older database up to date. Jobs that were

@@ -164,7 +164,7 @@ const LOOK: Duration = Duration::from_secs(30);
 /// Before a job that found no room is tried again.
 const PAUSE: Duration = Duration::from_millis(500);
 /// Before a database that could not be written is.
-const BROKEN: Duration = Duration::from_secs(5);
+const BROKEN: Duration = Duration::from_secs(2);
 
 /// The time.
 #[must_use]
@@ -331,6 +331,9 @@ impl Jobs {
             let mut wait = LOOK.min(self.settings.expiry.max(PAUSE));
             self.expire();
             running.lost.retain(|id| self.store.put_back(id).is_err());
+            if !running.lost.is_empty() {
+                wait = BROKEN;
+            }
             match self.store.claim(now()) {
                 Ok(Some(job)) => {
                     let task = Arc::new(Task::default());

@@ -1,6 +1,7 @@
 //! What the handlers share, and the table of paths.
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use axum::Router;
 use axum::extract::State;
@@ -9,7 +10,8 @@ use axum::middleware;
 use axum::response::IntoResponse;
 use axum::routing::{get, post};
 use metrics_exporter_prometheus::BuildError;
-use tokio::sync::watch;
+use tokio::sync::{Semaphore, watch};
+use tokio::time::timeout;
 
 use super::budget::Budget;
 use super::config::Config;
@@ -31,6 +33,8 @@ pub(super) struct App {
     pub(super) budget: Budget,
     /// None where the server has no folder for them.
     pub(super) jobs: Option<Arc<Jobs>>,
+    // A semaphore: a question that nobody waits for any more keeps its turn until it is answered.
+    pub(super) asking: Arc<Semaphore>,
     /// Requests whose response is not over, probes aside. A watch channel, so that a stopping server
     /// can wait for none.
     pub(super) in_flight: watch::Sender<usize>,
@@ -43,6 +47,7 @@ impl App {
             metrics: Metrics::new(&config.model)?,
             readiness: Readiness::new(),
             budget: Budget::new(config.limits.held_bytes),
+            asking: Arc::new(Semaphore::new(jobs::ASKING)),
             in_flight: watch::Sender::new(0),
             engine,
             config,
@@ -95,6 +100,9 @@ pub(super) fn router(app: Arc<App>) -> Router {
     routes.layer(middleware::from_fn_with_state(Arc::clone(&app), record::record)).with_state(app)
 }
 
+/// How long `/metrics` waits for the jobs' figures.
+const COUNTS: Duration = Duration::from_secs(1);
+
 /// Alive, whatever it is doing.
 async fn healthz() -> &'static str {
     "ok\n"
@@ -106,8 +114,8 @@ async fn readyz(State(app): State<Arc<App>>) -> Result<&'static str, Problem> {
 }
 
 async fn metrics(State(app): State<Arc<App>>) -> impl IntoResponse {
-    // Figures that cannot be had are last time's; the log will be full of the reason.
-    if let Ok(counts) = jobs::ask(&app, |jobs| Ok(jobs.store().counts()?)).await {
+    // Figures that cannot be had, or not soon, are last time's; the log will be full of the reason.
+    if let Ok(Ok(counts)) = timeout(COUNTS, jobs::ask(&app, |jobs| Ok(jobs.store().counts()?))).await {
         app.metrics.jobs(&counts);
     }
     let page = app.metrics.render(&app.engine, app.budget.used());

@@ -10,6 +10,7 @@ use axum::http::{HeaderMap, HeaderValue, StatusCode, Uri, header};
 use axum::response::{IntoResponse, Response};
 use serde::Serialize;
 use tokio::task::spawn_blocking;
+use tokio::time::timeout;
 
 use super::accepted::accepted;
 use super::app::App;
@@ -41,21 +42,34 @@ impl From<StoreError> for Problem {
             StoreError::Full { queued, limit } => Self::JobsFull { queued, limit, retry_after: SOON },
             StoreError::ClientFull { queued, limit } => Self::ClientJobs { queued, limit, retry_after: SOON },
             error if error.is_full() => Self::DiskFull(error.to_string()),
+            error if error.is_busy() => Self::JobsBusy,
             error => Self::Internal(error.to_string()),
         }
     }
 }
 
+/// Questions to the store at a time: should the database be locked, those that wait for it must leave threads for
+/// the requests that need none of it.
+pub(super) const ASKING: usize = 4;
+/// How long a question waits for its turn.
+const TURN: Duration = Duration::from_secs(5);
+
 /// Asks the store, on a thread that may wait for the disk.
 ///
 /// # Errors
-/// [`Problem::JobsOff`], or the question's own.
+/// [`Problem::JobsOff`], [`Problem::JobsBusy`], or the question's own.
 pub(super) async fn ask<T: Send + 'static>(
     app: &Arc<App>,
     question: impl FnOnce(&Arc<Jobs>) -> Result<T, Problem> + Send + 'static,
 ) -> Result<T, Problem> {
     let jobs = Arc::clone(app.jobs()?);
-    spawn_blocking(move || question(&jobs)).await.map_err(|error| Problem::Internal(error.to_string()))?
+    let turn = timeout(TURN, Arc::clone(&app.asking).acquire_owned()).await.map_err(|_| Problem::JobsBusy)?;
+    let asked = spawn_blocking(move || {
+        // Until the answer is there, also where nobody waits for it any more.
+        let _turn = turn;
+        question(&jobs)
+    });
+    asked.await.map_err(|error| Problem::Internal(error.to_string()))?
 }
 
 /// `POST /jobs`: as `POST /upsample` until the cloud is read, then 202 instead of the result. What

@@ -71,10 +71,19 @@ impl Events {
                 Some(first) => Ok(first),
                 None => Document::ask(&self.app, &self.client, self.id.clone()).await,
             };
-            let Ok(document) = document else {
-                // Deleted or expired while it was watched.
-                self.over = true;
-                return Some(format!("event: deleted\ndata: {{\"id\":\"{}\"}}\n\n", self.id));
+            let document = match document {
+                Ok(document) => document,
+                Err(Problem::NoJob(_)) => {
+                    // Deleted or expired while it was watched.
+                    self.over = true;
+                    return Some(format!("event: deleted\ndata: {{\"id\":\"{}\"}}\n\n", self.id));
+                }
+                // The job is there all the same; its watcher waits, too.
+                Err(error) => {
+                    tracing::debug!(job = self.id, %error, "a watched job cannot be looked at");
+                    sleep(TICK).await;
+                    return Some(": alive\n\n".to_owned());
+                }
             };
             let news = (document.state, document.attempts, document.position, document.progress.clone());
             if self.told.as_ref() != Some(&news) {

@@ -49,6 +49,10 @@ const HELD: &str = "densecloud_held_bytes";
 const JOBS: &str = "densecloud_jobs";
 const MODEL: &str = "densecloud_model_info";
 
+/// Why requests are mostly refused.
+const REASONS: [&str; 6] =
+    ["client-share", "queue-full", "too-late", "too-big-for-memory", "client-jobs", "jobs-full"];
+
 /// From a small cloud's milliseconds to a large one's ten minutes.
 const BUCKETS: [f64; 14] =
     [0.001, 0.005, 0.01, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 15.0, 60.0, 180.0, 600.0];
@@ -127,6 +131,9 @@ impl Metrics {
             process: Collector::default(),
             recorder,
         };
+        for reason in REASONS {
+            metrics.refusals(reason).increment(0);
+        }
         for interface in Interface::ALL {
             metrics.requests(interface, "ok").increment(0);
         }
@@ -172,8 +179,12 @@ impl Metrics {
 
     /// None were, because of a problem of this name.
     pub(super) fn refused(&self, reason: &'static str) {
+        self.refusals(reason).increment(1);
+    }
+
+    fn refusals(&self, reason: &'static str) -> Counter {
         let key = Key::from_parts(REFUSED, vec![Label::from_static_parts("reason", reason)]);
-        self.recorder.register_counter(&key, &METADATA).increment(1);
+        self.recorder.register_counter(&key, &METADATA)
     }
 
     /// Work is done that was estimated to take so long, and took so long.

@@ -262,6 +262,9 @@ pub(super) enum Problem {
         /// What they may take.
         limit: u64,
     },
+    /// Another program has the jobs' database for itself.
+    #[error("another program has locked the jobs' database; nothing was changed, try again")]
+    JobsBusy,
     /// The disk is full.
     #[error("the disk is full: {0}; make room there, or give --data-dir a folder elsewhere")]
     DiskFull(String),
@@ -477,6 +480,7 @@ impl Problem {
                 "Jobs take all the disk they may",
                 Some("--job-disk"),
             ),
+            Self::JobsBusy => (S::SERVICE_UNAVAILABLE, "jobs-busy", "The jobs' database is locked", None),
             Self::DiskFull(_) => {
                 (S::INSUFFICIENT_STORAGE, "disk-full", "The disk is full", Some("--data-dir"))
             }
@@ -519,7 +523,7 @@ impl Problem {
             | Self::Late { retry_after, .. }
             | Self::JobsFull { retry_after, .. }
             | Self::ClientJobs { retry_after, .. } => Some(*retry_after),
-            Self::WarmingUp | Self::Draining | Self::HeldFull { .. } => Some(SOON),
+            Self::WarmingUp | Self::Draining | Self::HeldFull { .. } | Self::JobsBusy => Some(SOON),
             _ => None,
         }
     }
@@ -698,6 +702,7 @@ pub(super) fn every_problem() -> Vec<(Problem, u16, &'static str)> {
         (Problem::KeyReused, 422, "idempotency-key-reused"),
         (Problem::Range { length: 5 }, 416, "range-not-satisfiable"),
         (Problem::JobDisk { used: 5, wanted: 1, limit: 5 }, 507, "job-disk-full"),
+        (Problem::JobsBusy, 503, "jobs-busy"),
         (Problem::DiskFull("x".into()), 507, "disk-full"),
         (Problem::GaveUp { attempts: 3 }, 500, "job-gave-up"),
         (Problem::Internal("secret".into()), 500, "internal"),

@@ -57,7 +57,8 @@ fn a_named_site_may_use_everything_and_read_what_comes() {
     }
     let other = from_site(&server, "GET", "/readyz", "https://other.example.org", "", b"");
     assert_eq!((other.status, let_in(&other)), (200, None), "the browser keeps it from the page");
-    assert!(other.header("vary").is_some_and(|vary| vary.contains("origin")), "{other:?}");
+    // One header of several: answers vary by their coding, too.
+    assert!(other.headers.iter().any(|(n, v)| n == "vary" && v.contains("origin")), "{other:?}");
 }
 
 #[test]

@@ -4,9 +4,10 @@ use std::time::Duration;
 
 use densecloud::cascade::Target;
 use densecloud::engine::EngineConfig;
+use densecloud::formats::Format;
 use densecloud::server::{Config, ServeError};
 
-use crate::support::{PLY, Reply, Scripted, Server, cloud, dense, encode, encode_result, wait_until};
+use crate::support::{PLY, Reply, Scripted, Server, cloud, dense, encode, encode_result, narrow, wait_until};
 
 #[test]
 fn a_server_is_alive_at_once_and_ready_after_its_warm_up() {
@@ -100,6 +101,62 @@ fn a_response_that_is_being_sent_is_sent_whole() {
     });
     let whole = [start, client.rest()].concat();
     assert_eq!(Reply::parse(&whole).expect("a whole response").text().lines().count(), 128_000);
+    assert!(server.join().is_ok());
+}
+
+#[test]
+fn every_request_that_was_accepted_is_answered_whole_however_old_it_is() {
+    let backend = Scripted::new();
+    let mut server = Server::start(&backend, Config::default());
+    let (small, text) = (encode(&cloud(300), PLY), encode(&cloud(2000), Format::TEXT));
+    // Being sent: more than the system buffers, to clients that read nothing more for now.
+    let reading: Vec<_> = (0..2)
+        .map(|_| {
+            let mut client = narrow(&server);
+            client.send_post("/upsample?ratio=64", &text);
+            let start = client.some();
+            assert!(start.starts_with(b"HTTP/1.1 200"));
+            (client, start)
+        })
+        .collect();
+    // Worked on or queued: there are two workers, and the gate is shut.
+    backend.shut();
+    let mut queued: Vec<_> = (0..5).map(|_| server.connect()).collect();
+    for client in &mut queued {
+        client.send_post("/upsample?ratio=4", &small);
+    }
+    // Being received: the head and half of the body.
+    let mut uploading: Vec<_> = (0..2).map(|_| server.connect()).collect();
+    for client in &mut uploading {
+        let head = format!(
+            "POST /upsample?ratio=4 HTTP/1.1\r\nhost: x\r\nconnection: close\r\ncontent-length: {}\r\n\r\n",
+            small.len()
+        );
+        client.send(head.as_bytes());
+        client.send(&small[..small.len() / 2]);
+    }
+    // Points of uploads are reserved with their headers.
+    wait_until("all are accepted", || {
+        server.engine.queued_points() == 7 * 1200 && server.metric("densecloud_requests_in_flight") == 9.0
+    });
+    server.stop();
+    wait_until("readiness flips", || server.get("/readyz").status == 503);
+    let refused = server.post("/upsample?ratio=4", &small);
+    assert_eq!((refused.status, refused.problem_name().as_str()), (503, "draining"));
+    backend.open();
+    for client in &mut uploading {
+        client.send(&small[small.len() / 2..]);
+    }
+    let expected = dense(cloud(300), Target::Ratio(4.0), 0);
+    for client in queued.into_iter().chain(uploading) {
+        let reply = client.reply();
+        assert_eq!(reply.status, 200);
+        assert!(reply.body == encode_result(&expected, PLY, &reply));
+    }
+    for (mut client, start) in reading {
+        let whole = [start, client.rest()].concat();
+        assert_eq!(Reply::parse(&whole).expect("a whole response").text().lines().count(), 128_000);
+    }
     assert!(server.join().is_ok());
 }
 

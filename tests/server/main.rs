@@ -5,7 +5,9 @@
 mod admission;
 mod answers;
 mod cors;
+mod departures;
 mod encodings;
+mod faults;
 mod forms;
 mod grpc;
 mod inference;

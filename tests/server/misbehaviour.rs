@@ -6,7 +6,7 @@ use densecloud::backend::Fake;
 use densecloud::formats::Format;
 use densecloud::server::Config;
 
-use crate::support::{Client, PLY, Reply, Scripted, Server, cloud, encode, wait_until};
+use crate::support::{PLY, Reply, Scripted, Server, cloud, encode, narrow, wait_until};
 
 /// Impatient, so that tests are quick.
 fn impatient() -> Config {
@@ -83,18 +83,6 @@ fn a_client_that_leaves_stops_the_work() {
     assert_eq!(server.metric("densecloud_held_bytes"), 0.0);
 }
 
-/// A client with a small window, so that a result of some megabytes does not fit between.
-fn narrow(server: &Server) -> Client {
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
-    let stream = runtime.block_on(async {
-        let socket = tokio::net::TcpSocket::new_v4().unwrap();
-        socket.set_recv_buffer_size(4096).unwrap();
-        socket.connect(server.address).await.unwrap().into_std().unwrap()
-    });
-    stream.set_nonblocking(false).unwrap();
-    Client::of(stream)
-}
-
 /// 128,000 points as text: some 7 MB, more than the system buffers.
 const LARGE: &str = "/upsample?ratio=64";
 
@@ -134,4 +122,67 @@ fn a_reader_that_stops_reading_is_cut_off() {
     assert_eq!(Reply::parse(&whole), None, "the response must not look complete");
     let cancelled = "densecloud_requests_total{interface=\"http\",outcome=\"cancelled\"}";
     wait_until("it is counted", || server.metric(cancelled) == 1.0);
+}
+
+#[test]
+fn a_head_that_drips_is_given_up_however_steadily_it_drips() {
+    let server = Server::start(&Scripted::new(), impatient());
+    let head = b"POST /upsample?ratio=4 HTTP/1.1\r\nhost: x\r\nx-more: ";
+    // The second begins as HTTP/2 does, and goes on with settings that never end.
+    for start in [&head[..], b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n\0\x40\0\x04\0\0\0\0\0"] {
+        let mut client = server.connect();
+        client.send(start);
+        wait_until("the connection ends", || {
+            std::thread::sleep(Duration::from_millis(50));
+            !client.try_send(b"x")
+        });
+    }
+    assert_eq!(server.metric("densecloud_requests_in_flight"), 0.0);
+}
+
+#[test]
+fn an_upload_that_drips_is_ended_by_the_deadline() {
+    let mut config = Config::default();
+    // Each drop is in time for the first, and all of them together too late for the second.
+    config.timeouts.stall = Duration::from_secs(600);
+    config.timeouts.request = Duration::from_secs(1);
+    let server = Server::start(&Scripted::new(), config);
+    let mut client = server.connect();
+    client.send(
+        b"POST /upsample?ratio=4 HTTP/1.1\r\nhost: x\r\nconnection: close\r\ncontent-length: 1000000\r\n\r\n",
+    );
+    let refused = "densecloud_requests_total{interface=\"http\",outcome=\"deadline\"}";
+    wait_until("it is given up", || {
+        client.try_send(b"1 2 3\n");
+        server.metric(refused) == 1.0
+    });
+    let reply = client.reply();
+    assert_eq!((reply.status, reply.problem_name().as_str()), (504, "deadline"));
+    wait_until("its memory is given back", || server.metric("densecloud_held_bytes") == 0.0);
+}
+
+#[test]
+fn writers_that_stall_hold_their_bytes_and_no_worker() {
+    let server = Server::start(&Scripted::new(), Config::default());
+    let body = encode(&cloud(500), PLY);
+    // More than there are workers, and threads for blocking work.
+    let stalled: Vec<_> = (0..40)
+        .map(|_| {
+            let mut client = server.connect();
+            let length = body.len();
+            client.send(
+                format!("POST /upsample?ratio=4 HTTP/1.1\r\nhost: x\r\ncontent-length: {length}\r\n\r\n")
+                    .as_bytes(),
+            );
+            client.send(&body[..300]);
+            client
+        })
+        .collect();
+    wait_until("all have arrived", || server.metric("densecloud_held_bytes") == 40.0 * 300.0);
+    assert_eq!(server.post("/upsample?ratio=4", &body).status, 200, "others are served meanwhile");
+    // Reserved since their headers came.
+    assert_eq!(server.engine.queued_points(), 40 * 2000);
+    drop(stalled);
+    wait_until("all is given back", || server.metric("densecloud_held_bytes") == 0.0);
+    server.wait_for_no_work();
 }

@@ -30,6 +30,7 @@ pub(crate) struct Scripted {
 struct Script {
     open: bool,
     fail: bool,
+    panic: bool,
 }
 
 impl Scripted {
@@ -38,7 +39,10 @@ impl Scripted {
     }
 
     pub(crate) fn over(fake: Fake) -> Self {
-        Self { fake, state: Arc::new((Mutex::new(Script { open: true, fail: false }), Condvar::new())) }
+        Self {
+            fake,
+            state: Arc::new((Mutex::new(Script { open: true, fail: false, panic: false }), Condvar::new())),
+        }
     }
 
     pub(crate) fn batches(&self) -> usize {
@@ -56,6 +60,11 @@ impl Scripted {
 
     pub(crate) fn fail(&self) {
         self.state.0.lock().unwrap().fail = true;
+    }
+
+    /// The next batch panics, and no other.
+    pub(crate) fn panic(&self) {
+        self.state.0.lock().unwrap().panic = true;
     }
 }
 
@@ -80,7 +89,11 @@ impl Backend for Scripted {
 impl Session for Scripted {
     fn run(&mut self, unit: usize, batch: &Batch<'_>, output: &mut Output) -> Result<(), BackendError> {
         let (state, changed) = &*self.state;
-        let script = changed.wait_while(state.lock().unwrap(), |script| !script.open).unwrap();
+        let mut script = changed.wait_while(state.lock().unwrap(), |script| !script.open).unwrap();
+        if std::mem::take(&mut script.panic) {
+            drop(script);
+            panic!("a bug at /srv/secret/path");
+        }
         if script.fail {
             return Err(BackendError::Run { unit, why: "/srv/secret/path".into() });
         }
@@ -317,6 +330,18 @@ fn dechunk(mut bytes: &[u8]) -> Option<Vec<u8>> {
         body.extend_from_slice(bytes.get(..size)?);
         bytes = bytes.get(size + 2..)?;
     }
+}
+
+/// A client with a small window, so that a result of some megabytes does not fit between.
+pub(crate) fn narrow(server: &Server) -> Client {
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+    let stream = runtime.block_on(async {
+        let socket = tokio::net::TcpSocket::new_v4().unwrap();
+        socket.set_recv_buffer_size(4096).unwrap();
+        socket.connect(server.address).await.unwrap().into_std().unwrap()
+    });
+    stream.set_nonblocking(false).unwrap();
+    Client::of(stream)
 }
 
 /// A spiral on the sphere: even, without a random generator.
