@@ -27,7 +27,7 @@ fn main() {
     let folder = std::env::args().skip(1).map(std::path::PathBuf::from).find(|path| path.is_dir());
     let model = folder.map_or_else(Model::embedded, |folder| Model::load(&folder));
     let model = Arc::new(model.expect("a model"));
-    let config = EngineConfig { threads, concurrency: 1, queue_points: u64::MAX };
+    let config = EngineConfig { threads, concurrency: 1, queue_points: u64::MAX, ..EngineConfig::default() };
     let start = Instant::now();
     let engine = Engine::new(model, config).expect("an engine");
     println!("{threads} threads; open the model: {:.3} s", start.elapsed().as_secs_f64());

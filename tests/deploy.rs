@@ -76,7 +76,7 @@ fn the_reference_file_with_all_of_it_in_force_is_the_defaults() {
     let text: String = reference()
         .lines()
         // What is not set by default has an example that need not exist.
-        .filter(|line| !["#model = ", "#data-dir = "].iter().any(|none| line.starts_with(none)))
+        .filter(|line| !["#model = ", "#data-dir = ", "#keys = "].iter().any(|none| line.starts_with(none)))
         .map(|line| {
             format!("{}\n", line.strip_prefix('#').filter(|rest| rest.contains(" = ")).unwrap_or(line))
         })

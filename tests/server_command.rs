@@ -150,6 +150,68 @@ fn the_command_line_leaves_a_job_and_fetches_what_upsample_would_have_made() {
 }
 
 #[test]
+fn a_key_lets_a_client_in_and_is_in_no_log() {
+    const KEY: &str = "only-between-us-two";
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = |name: &str| folder.path().join(name).to_str().expect("UTF-8").to_owned();
+    let hash = "17a1b5e3a1d1b0b8f0d1c5b2a3e4f5061728394a5b6c7d8e9fa0b1c2d3e4f506";
+    std::fs::write(path("keys"), format!("# hashed\nother sha256:{hash}\nme {KEY}\n")).expect("a file");
+    let private = std::os::unix::fs::PermissionsExt::from_mode(0o600);
+    std::fs::set_permissions(path("keys"), private).expect("permissions");
+    let serving =
+        Serving::start_with(&["--keys", &path("keys"), "--data-dir", &path("jobs"), "--log", "debug"]);
+    let server = serving.url("");
+    let list = |key: Option<&str>| {
+        let mut command = densecloud();
+        command.args(["job", "--server", &server, "list"]).env_remove("DENSECLOUD_KEY");
+        command.envs(key.map(|key| ("DENSECLOUD_KEY", key))).output().expect("the program starts")
+    };
+    for (key, code) in [(None, 1), (Some("of-somebody-elses"), 1), (Some(KEY), 0)] {
+        let output = list(key);
+        let stderr = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(code), "{stderr}");
+        assert_eq!(stderr.contains("--keys"), code == 1, "{stderr}");
+    }
+    serving.signal("TERM");
+    let log: Vec<String> = serving.log.iter().map(|event| event.to_string()).collect();
+    assert!(log.iter().any(|line| line.contains("\"client\":\"me\"")), "{log:?}");
+    assert!(!log.iter().any(|line| line.contains(KEY) || line.contains("somebody-elses")), "{log:?}");
+}
+
+#[test]
+#[cfg(target_os = "linux")]
+fn a_request_for_which_the_system_has_no_memory_gets_507_and_others_go_on() {
+    let size = |serving: &Serving| {
+        let status =
+            std::fs::read_to_string(format!("/proc/{}/status", serving.child.id())).expect("a process");
+        let line = status.lines().find_map(|line| line.strip_prefix("VmPeak:")).expect("its size");
+        line.trim().trim_end_matches(" kB").parse::<u64>().expect("kilobytes")
+    };
+    // One heap for all threads, so that the size tells what is left.
+    let limited = |kilobytes: &str| {
+        let mut shell = Command::new("sh");
+        let script = format!("ulimit -v {kilobytes} && exec \"$0\" \"$@\"");
+        shell.args(["-c", &script, env!("CARGO_BIN_EXE_densecloud")]).env("MALLOC_ARENA_MAX", "1");
+        Serving::start_from(shell, &["--max-memory", "1000000000000"])
+    };
+    let idle = size(&limited("unlimited"));
+    // Room for 300,000 points, but not for what the first level knows of each: 158 MB.
+    let serving = limited(&(idle + 140_000).to_string());
+    let body = text(300_000);
+    let mut refused = ureq::post(serving.url("/upsample?ratio=4"))
+        .config()
+        .http_status_as_error(false)
+        .build()
+        .send(body.as_bytes())
+        .expect("an answer");
+    let answer = refused.body_mut().read_to_string().expect("a body");
+    assert_eq!(refused.status(), 507, "{answer}");
+    assert!(answer.contains("out-of-memory"), "{answer}");
+    let fine = ureq::post(serving.url("/upsample?ratio=4")).send(text(300).as_bytes());
+    assert_eq!(fine.expect("an answer").status(), 200);
+}
+
+#[test]
 fn a_second_signal_ends_it_at_once() {
     let mut serving = Serving::start();
     let url = serving.url("/upsample?ratio=64");
@@ -277,6 +339,10 @@ fn settings_are_checked_before_a_port_is_bound() {
         (&["serve", "--max-held-bytes", "5"], "--max-held-bytes"),
         (&["serve", "--log", "=loud="], "--log"),
         (&["serve", "--stall-timeout", "soon"], "--stall-timeout"),
+        (&["serve", "--max-memory", "much"], "--max-memory"),
+        (&["serve", "--open", "doors"], "--open"),
+        (&["serve", "--keys", "/nowhere/keys"], "/nowhere/keys"),
+        (&["serve", "--keys", concat!(env!("CARGO_MANIFEST_DIR"), "/LICENSE-MIT")], "line 1"),
         (&["serve", "--no-such-option"], "--no-such-option"),
         (&["serve", "--model", "/nowhere"], "--model"),
         (&["serve", "--data-dir", "Cargo.toml"], "--data-dir"),

@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use super::patches::Patches;
 use super::polish::polish;
 use super::strays::{Made, Measured, without_strays};
-use super::{CascadeError, Observer, Settings, Stage};
+use super::{CascadeError, Observer, Settings, Stage, filled};
 use crate::backend::{BackendError, Batch, SKIP_NEIGHBOURS, SkipInput, Worker, Workers};
 use crate::cloud::Point;
 use crate::geometry::{KdTree, Rng, Walk, farthest_point_sampling};
@@ -69,7 +69,10 @@ impl Level {
         let mut random = Rng::new(settings.seed.wrapping_add((self.number as u64) << 32));
         let patch_size = workers.shape().patch_size;
         let patches = Patches::cover(&self.points, patch_size, settings, &mut random, self.number, observer)?;
-        let skip = self.previous.as_ref().map(|previous| SkipNeighbours::find(previous, &self.points));
+        let skip = match &self.previous {
+            Some(previous) => Some(SkipNeighbours::find(previous, &self.points)?),
+            None => None,
+        };
 
         observer.begin(self.number, Stage::Units);
         let (merged, features) = self.run_units(&patches, skip.as_ref(), workers, observer)?;
@@ -116,8 +119,8 @@ impl Level {
     ) -> Result<(Vec<Made>, Vec<f16>), CascadeError> {
         let channels = if self.last { 0 } else { workers.shape().channels };
         let kept: usize = (0..patches.len()).map(|p| patches.kept(p).count()).sum();
-        let mut merged = vec![Made::default(); 2 * kept];
-        let mut features = vec![f16::ZERO; self.points.len() * channels];
+        let mut merged = filled(Made::default(), 2 * kept)?;
+        let mut features = filled(f16::ZERO, self.points.len() * channels)?;
 
         let mut tasks = Vec::with_capacity(patches.len());
         let (mut points, mut rows) = (&mut merged[..], &mut features[..]);
@@ -202,10 +205,10 @@ struct PatchTask<'a> {
 }
 
 impl SkipNeighbours {
-    fn find(previous: &Previous, points: &[Point]) -> Self {
+    fn find(previous: &Previous, points: &[Point]) -> Result<Self, CascadeError> {
         let tree = KdTree::new(&previous.points);
-        let mut rows = vec![0; points.len() * SKIP_NEIGHBOURS];
-        let mut distances = vec![0.0; points.len() * SKIP_NEIGHBOURS];
+        let mut rows = filled(0, points.len() * SKIP_NEIGHBOURS)?;
+        let mut distances = filled(0.0, points.len() * SKIP_NEIGHBOURS)?;
         rows.par_chunks_exact_mut(SKIP_NEIGHBOURS)
             .zip(distances.par_chunks_exact_mut(SKIP_NEIGHBOURS))
             .zip(points)
@@ -216,7 +219,7 @@ impl SkipNeighbours {
                     distances[k] = neighbour.distance_squared;
                 }
             });
-        Self { rows, distances }
+        Ok(Self { rows, distances })
     }
 }
 

@@ -143,6 +143,9 @@ pub enum CascadeError {
     /// The backend failed.
     #[error("{0}")]
     Backend(#[from] BackendError),
+    /// The system gave no memory for a table of so many bytes.
+    #[error("the system has no {0} bytes of memory for this cloud; ask for fewer points")]
+    OutOfMemory(u64),
     /// The observer asked to stop.
     #[error("cancelled")]
     Cancelled,
@@ -201,6 +204,16 @@ pub fn upsample(
         dropped_non_finite: positions.len() - input.finite,
         duplicates: input.finite - input.distinct,
     })
+}
+
+/// `count` copies of a value; an error where there is no memory for them, which elsewhere would end the
+/// program.
+fn filled<T: Clone>(value: T, count: usize) -> Result<Vec<T>, CascadeError> {
+    let mut values = Vec::new();
+    let bytes = (count as u64).saturating_mul(size_of::<T>() as u64);
+    values.try_reserve_exact(count).map_err(|_| CascadeError::OutOfMemory(bytes))?;
+    values.resize(count, value);
+    Ok(values)
 }
 
 #[cfg(test)]

@@ -218,3 +218,10 @@ fn a_failing_backend_is_an_error() {
     let failed = upsample(&sphere(500, 1), Target::Ratio(2.0), &Settings::default(), &workers, &Silent);
     assert!(matches!(failed, Err(CascadeError::Backend(BackendError::Run { unit: 1, .. }))));
 }
+
+#[test]
+fn memory_that_is_not_there_is_an_error_and_no_end_of_the_program() {
+    let error = filled(0_u64, usize::MAX / 16).unwrap_err();
+    assert!(matches!(error, CascadeError::OutOfMemory(_)), "{error}");
+    assert_eq!(filled(7_u8, 3).unwrap(), [7; 3]);
+}

@@ -39,7 +39,12 @@ impl EngineArgs {
 
     /// Starts an engine for one request at a time.
     pub(super) fn engine(&self, model: Arc<Model>) -> Result<Engine, CliError> {
-        let config = EngineConfig { threads: self.threads, concurrency: 1, queue_points: u64::MAX };
+        let config = EngineConfig {
+            threads: self.threads,
+            concurrency: 1,
+            queue_points: u64::MAX,
+            ..EngineConfig::default()
+        };
         Engine::new(model, config).map_err(|e| CliError::Failed(e.to_string()))
     }
 }

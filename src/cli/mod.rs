@@ -8,6 +8,7 @@ mod evaluate;
 mod files;
 mod inspect;
 mod job;
+mod memory;
 mod remote;
 mod render;
 mod sample;

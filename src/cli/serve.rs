@@ -12,13 +12,13 @@ use tokio::runtime::Runtime;
 use tokio::signal::unix::{Signal, SignalKind, signal};
 use tracing_subscriber::EnvFilter;
 
-use super::CliError;
 use super::engine_args::EngineArgs;
 use super::settings::SettingsArgs;
+use super::{CliError, memory};
 use crate::backend::Model;
 use crate::engine::{Engine, EngineConfig};
 use crate::jobs;
-use crate::server::{self, Config, CorsOrigin, Limits, ModelInfo, Timeouts};
+use crate::server::{self, Access, Config, CorsOrigin, Keys, Limits, ModelInfo, Timeouts};
 
 /// Serve over HTTP: POST a cloud to /upsample, get a denser one back.
 #[derive(Debug, Args)]
@@ -37,7 +37,7 @@ pub(super) struct ServeArgs {
     #[arg(short, long, env = "DENSECLOUD_PORT", default_value_t = 8080)]
     port: u16,
 
-    /// Address to listen on; 0.0.0.0 for all. There is no authentication: put a proxy before it
+    /// Address to listen on; 0.0.0.0 for all. Give it --keys then, or put a proxy before it
     #[arg(long, env = "DENSECLOUD_HOST", default_value = "127.0.0.1")]
     host: String,
 
@@ -48,6 +48,18 @@ pub(super) struct ServeArgs {
     #[arg(long, env = "DENSECLOUD_QUEUE_POINTS", value_name = "N",
         default_value_t = EngineConfig::default().queue_points)]
     queue_points: u64,
+
+    /// The same of one client's requests; 0 is a quarter of --queue-points
+    #[arg(long, env = "DENSECLOUD_CLIENT_POINTS", value_name = "N", default_value_t = 0)]
+    client_points: u64,
+
+    /// Bytes of memory that all work at hand may take, as estimated; auto is by the machine's memory
+    #[arg(long, env = "DENSECLOUD_MAX_MEMORY", value_name = "N", value_parser = memory,
+        default_value = "auto")]
+    max_memory: Memory,
+
+    #[command(flatten)]
+    access: AccessArgs,
 
     /// Bytes in one request's body
     #[arg(long, env = "DENSECLOUD_MAX_BODY_BYTES", value_name = "N",
@@ -147,8 +159,13 @@ pub(super) fn run(args: &ServeArgs) -> Result<(), CliError> {
 
 fn start(args: &ServeArgs, mut config: Config, model: Arc<Model>) -> Result<(), CliError> {
     let failed = |why: &dyn std::fmt::Display| CliError::Failed(why.to_string());
-    let sizes =
-        EngineConfig { threads: args.engine.threads, queue_points: args.queue_points, ..Default::default() };
+    let sizes = EngineConfig {
+        threads: args.engine.threads,
+        queue_points: args.queue_points,
+        client_points: args.client_points,
+        memory: args.max_memory.bytes(config.limits.held_bytes),
+        ..Default::default()
+    };
     let engine = Engine::new(model.clone(), sizes).map_err(|e| failed(&e))?;
     config.model = ModelInfo { name: model.name(), provider: engine.provider().to_owned() };
     let runtime = tokio::runtime::Builder::new_multi_thread()
@@ -179,7 +196,8 @@ impl ServeArgs {
     /// # Errors
     /// [`CliError::Usage`] with the setting and what to do, for all that the settings are to blame for.
     pub(super) fn check(&self) -> Result<Checked, CliError> {
-        let config = self.config();
+        let mut config = self.config();
+        config.access.keys = self.access.keys()?;
         config.validate().map_err(|e| CliError::Usage(e.to_string()))?;
         let filter = EnvFilter::try_new(&self.log)
             .map_err(|e| CliError::Usage(format!("--log {:?}: {e}; try info or debug", self.log)))?;
@@ -211,6 +229,7 @@ impl ServeArgs {
                 lead: self.drain_lead,
                 drain: self.drain_timeout,
             },
+            access: self.access.access(),
             jobs: self.jobs.settings(),
             cors: self.cors_origin.clone(),
             model: ModelInfo::default(),
@@ -238,6 +257,14 @@ struct JobsArgs {
     #[arg(long, env = "DENSECLOUD_JOB_DISK", value_name = "N", default_value_t = 10 << 30)]
     job_disk: u64,
 
+    /// Jobs that may be queued or running
+    #[arg(long, env = "DENSECLOUD_MAX_JOBS", value_name = "N", default_value_t = 1000)]
+    max_jobs: u64,
+
+    /// The same of one client
+    #[arg(long, env = "DENSECLOUD_CLIENT_JOBS", value_name = "N", default_value_t = 100)]
+    client_jobs: u64,
+
     /// How often a job is started, when the server ends under it, before it counts as failed
     #[arg(long, env = "DENSECLOUD_JOB_ATTEMPTS", value_name = "N", default_value_t = 3)]
     job_attempts: u32,
@@ -251,8 +278,95 @@ impl JobsArgs {
             running: self.jobs_running,
             expiry: self.job_expiry,
             disk: self.job_disk,
+            queued: self.max_jobs,
+            client_queued: self.client_jobs,
             attempts: self.job_attempts,
         })
+    }
+}
+
+/// Who may ask.
+#[derive(Debug, Args)]
+struct AccessArgs {
+    /// File of keys, one of which each request must show; a line is a name, a space and a key, or
+    /// sha256: and the key's SHA-256
+    #[arg(long, env = "DENSECLOUD_KEYS", value_name = "FILE")]
+    keys: Option<PathBuf>,
+
+    /// What needs no key: health, metrics, docs, with commas between; or none
+    #[arg(
+        long,
+        env = "DENSECLOUD_OPEN",
+        value_name = "WHAT,...",
+        value_delimiter = ',',
+        default_value = "health,metrics,docs"
+    )]
+    open: Vec<Open>,
+
+    /// Take the last hop of X-Forwarded-For as the client's address: only behind a proxy that sets it
+    #[arg(long, env = "DENSECLOUD_TRUST_FORWARDED")]
+    trust_forwarded: bool,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum Open {
+    /// /healthz, /readyz, and the like of the Open Inference Protocol
+    Health,
+    /// /metrics
+    Metrics,
+    /// /openapi.json and /docs
+    Docs,
+    /// Nothing
+    None,
+}
+
+impl AccessArgs {
+    /// But for the keys, which are in a file.
+    fn access(&self) -> Access {
+        let open = |what| self.open.contains(&what) && !self.open.contains(&Open::None);
+        Access {
+            keys: None,
+            open_health: open(Open::Health),
+            open_metrics: open(Open::Metrics),
+            open_docs: open(Open::Docs),
+            trust_forwarded: self.trust_forwarded,
+        }
+    }
+
+    fn keys(&self) -> Result<Option<Arc<Keys>>, CliError> {
+        let Some(path) = &self.keys else { return Ok(None) };
+        let keys =
+            Keys::read(path).map_err(|e| CliError::Usage(format!("--keys {}: {e}", path.display())))?;
+        Ok(Some(Arc::new(keys)))
+    }
+}
+
+/// How much memory work may take.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Memory {
+    Auto,
+    Bytes(u64),
+}
+
+impl Memory {
+    /// Beside so many bytes of uploads and results.
+    fn bytes(self, held: u64) -> u64 {
+        match self {
+            Self::Auto => memory::for_work(memory::available(), held),
+            Self::Bytes(bytes) => bytes,
+        }
+    }
+}
+
+fn memory(text: &str) -> Result<Memory, String> {
+    match text {
+        "auto" => Ok(Memory::Auto),
+        text => text
+            .parse()
+            .ok()
+            .filter(|&bytes| bytes > 0)
+            .map(Memory::Bytes)
+            .ok_or_else(|| "neither auto nor a positive number of bytes".to_owned()),
     }
 }
 
@@ -272,7 +386,8 @@ async fn serve(args: &ServeArgs, engine: Engine, config: Config) -> Result<(), C
     let address = listener.local_addr().map_err(unbound)?;
     let model = &config.model;
     tracing::info!(
-        %address, model = model.name.name, provider = model.provider, threads = engine.threads(), "listening"
+        %address, model = model.name.name, provider = model.provider, threads = engine.threads(),
+        max_memory = engine.max_memory(), keys = config.access.keys.is_some(), "listening"
     );
     server::run(listener, engine, config, signals.first()).await.map_err(|e| CliError::Failed(e.to_string()))
 }
@@ -403,6 +518,19 @@ mod tests {
                 _ => assert_eq!(variable, Some(expected), "--{name} needs an `env`"),
             }
             assert!(option.get_help().is_some(), "--{name} needs help");
+        }
+    }
+
+    #[test]
+    fn what_is_open_and_how_much_memory_there_is_can_be_chosen() {
+        let access = |arguments: &[&str]| parse(arguments).expect("arguments").config().access;
+        assert!(!access(&["--open=health,docs"]).open_metrics);
+        let none = access(&["--open=none", "--trust-forwarded"]);
+        assert!(!none.open_health && !none.open_metrics && !none.open_docs && none.trust_forwarded);
+        assert!(parse(&["--open=doors"]).is_err());
+        for (text, expected) in [("auto", Some(Memory::Auto)), ("5", Some(Memory::Bytes(5))), ("0", None)] {
+            let parsed = parse(&[&format!("--max-memory={text}")]).ok().map(|args| args.max_memory);
+            assert_eq!(parsed, expected);
         }
     }
 

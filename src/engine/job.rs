@@ -3,13 +3,16 @@
 use std::future::Future;
 use std::panic::AssertUnwindSafe;
 use std::pin::Pin;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::task::{Context, Poll};
+use std::time::{Duration, Instant};
 
 use tokio::sync::oneshot;
 
+use super::client::{Caller, Client};
+use super::cost::Cost;
 use super::progress::{Progress, StageTimes, Watch};
-use super::queue::{Permit, Queue};
+use super::queue::{Permit, Queue, Turn};
 use super::{EngineError, Request};
 use crate::attributes;
 use crate::backend::{Lane, Workers};
@@ -39,6 +42,10 @@ pub struct Outcome {
     pub duplicates: usize,
     /// How long each stage took, over all levels.
     pub stages: StageTimes,
+    /// How long the engine took it to need when it was admitted, alone on the machine.
+    pub estimate: Duration,
+    /// How long it took, without the time that others had.
+    pub took: Duration,
 }
 
 impl Outcome {
@@ -61,8 +68,12 @@ impl Outcome {
 
 /// What queue, job thread and caller share.
 pub(super) struct Task {
-    pub(super) lane: Lane,
+    pub(super) client: Client,
+    pub(super) cost: Cost,
     watch: Watch,
+    deadline: Option<Instant>,
+    submitted: Instant,
+    started: OnceLock<Instant>,
     // Taken by the job thread that runs it; dropped with the task when nobody does.
     work: Mutex<Option<Work>>,
 }
@@ -81,20 +92,38 @@ impl Task {
         self.take();
     }
 
+    fn is_late(&self) -> bool {
+        self.deadline.is_some_and(|deadline| Instant::now() >= deadline)
+    }
+
+    /// Its end where its deadline has passed.
+    fn late(&self) -> EngineError {
+        let begun = self.started.get();
+        let waited = begun.map_or_else(|| self.submitted.elapsed(), |begun| *begun - self.submitted);
+        EngineError::Deadline { waited, worked: begun.map_or(Duration::ZERO, Instant::elapsed) }
+    }
+
     fn take(&self) -> Option<Work> {
         self.work.lock().unwrap_or_else(PoisonError::into_inner).take()
     }
 }
 
 impl Job {
-    pub(super) fn queue(queue: &Arc<Queue>, request: Request, points_out: u64) -> Result<Self, EngineError> {
-        let permit = queue.admit(points_out)?;
+    pub(super) fn queue(queue: &Arc<Queue>, request: Request, caller: &Caller, permit: Permit) -> Self {
         let (sender, result) = oneshot::channel();
+        let cost = permit.cost();
         let work = Work { request, permit, result: sender };
-        let lane = Lane::of(points_out);
-        let task = Arc::new(Task { lane, watch: Watch::new(), work: Mutex::new(Some(work)) });
+        let task = Arc::new(Task {
+            client: caller.client.clone(),
+            cost,
+            watch: Watch::new(caller.deadline),
+            deadline: caller.deadline,
+            submitted: Instant::now(),
+            started: OnceLock::new(),
+            work: Mutex::new(Some(work)),
+        });
         queue.push(Arc::clone(&task));
-        Ok(Self { queue: Arc::clone(queue), task, result })
+        Self { queue: Arc::clone(queue), task, result }
     }
 
     /// How far it is.
@@ -130,6 +159,13 @@ impl ProgressHandle {
         self.0.watch.progress()
     }
 
+    /// How long it waited in the queue; so far, where it still does.
+    #[must_use]
+    pub fn waited(&self) -> Duration {
+        let task = &self.0;
+        task.started.get().map_or_else(|| task.submitted.elapsed(), |begun| *begun - task.submitted)
+    }
+
     /// Stops the work within one batch of patches; whoever waits for the job gets
     /// [`EngineError::Cancelled`].
     pub fn cancel(&self) {
@@ -155,16 +191,22 @@ impl Drop for Job {
 
 /// A job thread's life: one task after another until the queue closes.
 pub(super) fn work(queue: &Queue, workers: &Workers, lane: Option<Lane>) {
-    while let Some(task) = queue.next(lane) {
-        if let Some(work) = task.take() {
-            run(queue, workers, &task, work);
+    while let Some((task, turn)) = queue.next(lane) {
+        let Some(work) = task.take() else { continue };
+        if task.is_late() {
+            let Work { permit, result, .. } = work;
+            drop((turn, permit));
+            let _ = result.send(Err(task.late()));
+            continue;
         }
+        run(queue, workers, &task, work, turn);
     }
 }
 
-fn run(queue: &Queue, workers: &Workers, task: &Task, work: Work) {
+fn run(queue: &Queue, workers: &Workers, task: &Task, work: Work, turn: Turn<'_>) {
     let Work { request, permit, result } = work;
-    let start = std::time::Instant::now();
+    // Only this thread sets it, once.
+    let _ = task.started.set(Instant::now());
     // A panic is a bug in one request; it must not take the thread, and the service, with it.
     let done = std::panic::catch_unwind(AssertUnwindSafe(|| {
         let Request { cloud, target, settings, finish } = &request;
@@ -176,26 +218,31 @@ fn run(queue: &Queue, workers: &Workers, task: &Task, work: Work) {
         let cancelled = || task.watch.cancelled();
         let made = std::mem::take(&mut dense.positions);
         let work = || attributes::finish(cloud, made, finish, &cancelled);
-        let (positions, attributes) = workers.install(task.lane, work).ok_or(CascadeError::Cancelled)?;
+        let (positions, attributes) =
+            workers.install(task.cost.lane(), work).ok_or(CascadeError::Cancelled)?;
         dense.positions = positions;
         Ok((dense, attributes))
     }));
     let outcome = match done {
         Ok(Ok((dense, attributes))) => {
-            queue.measured(dense.positions.len() as u64, start.elapsed());
+            let took = turn.took();
+            queue.learn(task.cost, took);
             Ok(Outcome {
                 positions: dense.positions,
                 attributes,
                 dropped_non_finite: dense.dropped_non_finite,
                 duplicates: dense.duplicates,
                 stages: task.watch.finish(),
+                estimate: permit.estimate(),
+                took,
             })
         }
+        Ok(Err(CascadeError::Cancelled)) if task.is_late() => Err(task.late()),
         Ok(Err(error)) => Err(EngineError::from(error)),
         Err(panic) => Err(EngineError::Internal(message(&*panic))),
     };
     // Before the answer, so that a caller who has it finds its points free.
-    drop(permit);
+    drop((turn, permit));
     // A caller who left needs no answer.
     let _ = result.send(outcome);
 }

@@ -2,23 +2,31 @@
 //!
 //! The [`Engine`] admits requests while the points they will give fit its budget, runs a few at a
 //! time on one set of worker threads, and hands each caller a [`Job`] to wait on. Dropping the job
-//! stops the work. It knows nothing of files or HTTP.
+//! stops the work. Clients take turns, each has a share of the budget, and deadlines count the time
+//! in the queue. It knows nothing of files or HTTP.
 
+mod client;
+mod cost;
+mod fair;
 mod job;
 mod progress;
 mod queue;
 
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
+pub use client::{Caller, Client};
+pub use cost::Cost;
 pub use job::{Job, Outcome, ProgressHandle};
 pub use progress::{Progress, StageTimes};
+pub use queue::Permit;
 
 use crate::attributes::Finish;
 use crate::backend::{Backend, BackendError, Lane, Model, OnnxBackend, Workers};
 use crate::cascade::{self, CascadeError, Settings, Silent, Target};
 use crate::cloud::{Cloud, Position};
-use queue::Queue;
+use cost::Pace;
+use queue::{Bounds, Queue};
 
 /// What a caller wants done.
 #[derive(Debug, Clone)]
@@ -45,11 +53,16 @@ pub struct EngineConfig {
     /// Points out of all requests that are queued or running; beyond it requests are refused. One
     /// request alone is always admitted.
     pub queue_points: u64,
+    /// The same of one client's requests. 0 means a quarter of all.
+    pub client_points: u64,
+    /// Bytes that requests at work may take together, as [`Cost::memory`] estimates them; more wait until
+    /// others are done, and a request above it is refused.
+    pub memory: u64,
 }
 
 impl Default for EngineConfig {
     fn default() -> Self {
-        Self { threads: 0, concurrency: 0, queue_points: 50_000_000 }
+        Self { threads: 0, concurrency: 0, queue_points: 50_000_000, client_points: 0, memory: u64::MAX }
     }
 }
 
@@ -68,6 +81,55 @@ pub enum EngineError {
         queued: u64,
         /// The limit.
         limit: u64,
+        /// When there will be room, by the backlog.
+        retry_after: Duration,
+    },
+    /// The client's share of the queue is used up.
+    #[error(
+        "{used} points of yours are queued or running and this request would add {wanted}, above your share \
+         of {limit} (--client-points)"
+    )]
+    Share {
+        /// Points out that this request would give.
+        wanted: u64,
+        /// Points out that the client has admitted.
+        used: u64,
+        /// Its share.
+        limit: u64,
+        /// When there will be room, by the client's own backlog.
+        retry_after: Duration,
+    },
+    /// More memory than all requests together may take.
+    #[error("the work would take about {bytes} bytes of memory, more than {limit} (--max-memory)")]
+    TooBig {
+        /// The estimate.
+        bytes: u64,
+        /// The limit.
+        limit: u64,
+    },
+    /// Not to be done by its deadline, with what is before it.
+    #[error(
+        "with what is queued, this request would take about {:.1} s, and its deadline is in {:.1} s",
+        needed.as_secs_f64(), left.as_secs_f64()
+    )]
+    Late {
+        /// How long it would take.
+        needed: Duration,
+        /// Time to the deadline.
+        left: Duration,
+        /// When it could be done in that time, by the backlog.
+        retry_after: Duration,
+    },
+    /// The deadline came before the result.
+    #[error(
+        "the deadline came after {:.1} s in the queue and {:.1} s of work",
+        waited.as_secs_f64(), worked.as_secs_f64()
+    )]
+    Deadline {
+        /// In the queue.
+        waited: Duration,
+        /// At work; nothing where it was never begun.
+        worked: Duration,
     },
     /// The job was dropped, or the engine shut down.
     #[error("cancelled")]
@@ -125,7 +187,12 @@ impl Engine {
         let processors = std::thread::available_parallelism().map_or(1, usize::from);
         let threads = or(config.threads, processors);
         let workers = Arc::new(Workers::new(backend, threads)?);
-        let queue = Arc::new(Queue::new(config.queue_points));
+        let client_points = match config.client_points {
+            0 => config.queue_points / 4,
+            points => points,
+        };
+        let bounds = Bounds { points: config.queue_points, client_points, memory: config.memory };
+        let queue = Arc::new(Queue::new(bounds));
         let concurrency = or(config.concurrency, threads);
         for i in 0..2 * concurrency {
             // The second half takes small requests alone: they never wait for a large one to end.
@@ -139,16 +206,25 @@ impl Engine {
         Ok(Self { inner: Arc::new(Inner { queue, workers }) })
     }
 
-    /// Runs every unit once, so that the first request is not slower than the others, and learns
-    /// how fast this machine is.
+    /// Runs every unit once, so that the first request is not slower than the others, and then two
+    /// sizes, which tell how fast this machine is.
     ///
     /// # Errors
     /// [`EngineError::Cascade`] when the model does not run.
     pub fn warm_up(&self) -> Result<(), EngineError> {
         let workers = &self.inner.workers;
-        let ratio = f64::from(1_u32 << workers.backend().units().min(6));
+        let patch = workers.shape().patch_size;
+        let all = f64::from(1_u32 << workers.backend().units().min(6));
+        self.timed(patch, all)?;
+        let small = self.timed(patch, 2.0)?;
+        let large = self.timed(4 * patch, 8.0)?;
+        self.inner.queue.calibrate(Pace::measured(small, large));
+        Ok(())
+    }
+
+    /// Upsamples so many points by `ratio`, beside the queue; says what it cost.
+    fn timed(&self, points: usize, ratio: f64) -> Result<(Cost, Duration), EngineError> {
         // A spiral on the sphere: even, and without a file.
-        let points = workers.shape().patch_size;
         let positions: Vec<Position> = (0..points)
             .map(|i| {
                 let z = 1.0 - (2 * i + 1) as f64 / points as f64;
@@ -156,40 +232,112 @@ impl Engine {
                 [r * angle.cos(), r * angle.sin(), z]
             })
             .collect();
-        let start = std::time::Instant::now();
-        let dense =
-            cascade::upsample(&positions, Target::Ratio(ratio), &Settings::default(), workers, &Silent)?;
-        self.inner.queue.measured(dense.positions.len() as u64, start.elapsed());
-        Ok(())
+        let (target, settings) = (Target::Ratio(ratio), Settings::default());
+        let start = Instant::now();
+        let dense = cascade::upsample(&positions, target, &settings, &self.inner.workers, &Silent)?;
+        let cost = Cost { points_in: points as u64, points_out: dense.positions.len() as u64 };
+        Ok((cost, start.elapsed()))
     }
 
-    /// Queues a request. Returns at once; cost O(points in).
+    /// Queues a request of the only client there is, without a deadline. Returns at once; cost O(points in).
     ///
     /// # Errors
-    /// [`EngineError::Full`] when the queue's budget of points is used up;
-    /// [`EngineError::Cascade`] when the target is impossible for this many points.
+    /// As [`Engine::submit_for`].
     pub fn submit(&self, request: Request) -> Result<Job, EngineError> {
-        let finite = request.cloud.positions.iter().filter(|p| p.iter().all(|c| c.is_finite())).count();
-        let points_out = request.target.points_out(finite as u64)?;
-        Job::queue(&self.inner.queue, request, points_out)
+        self.submit_for(&Caller::default(), request, None)
     }
 
-    /// Points out of all requests that are queued or running.
+    /// Takes the points of a request from the budget before the request is there: as soon as its size is
+    /// known, or guessed from below. They are given back when the permit is dropped.
+    ///
+    /// # Errors
+    /// [`EngineError::TooBig`], [`EngineError::Share`], [`EngineError::Full`], or [`EngineError::Late`].
+    pub fn reserve(&self, caller: &Caller, cost: Cost) -> Result<Permit, EngineError> {
+        self.inner.queue.admit(caller, cost)
+    }
+
+    /// Whether [`Engine::reserve`] would do so; takes nothing.
+    ///
+    /// # Errors
+    /// The same.
+    pub fn would_admit(&self, caller: &Caller, cost: Cost) -> Result<(), EngineError> {
+        self.inner.queue.would_admit(caller, cost)
+    }
+
+    /// Whether a request of this size fits into the memory that all together may take.
+    ///
+    /// # Errors
+    /// [`EngineError::TooBig`].
+    pub fn check_memory(&self, cost: Cost) -> Result<(), EngineError> {
+        self.inner.queue.check_memory(cost)
+    }
+
+    /// Queues a request, with the points that were reserved for it, if any were. Returns at once; cost
+    /// O(points in).
+    ///
+    /// # Errors
+    /// [`EngineError::Cascade`] when the target is impossible for this many points; what
+    /// [`Engine::reserve`] gives, where nothing was reserved or too little.
+    pub fn submit_for(
+        &self,
+        caller: &Caller,
+        request: Request,
+        reserved: Option<Permit>,
+    ) -> Result<Job, EngineError> {
+        let finite =
+            request.cloud.positions.iter().filter(|p| p.iter().all(|c| c.is_finite())).count() as u64;
+        let cost = Cost { points_in: finite, points_out: request.target.points_out(finite)? };
+        let permit = match reserved {
+            Some(mut permit) => {
+                permit.resize(caller, cost)?;
+                permit
+            }
+            None => self.reserve(caller, cost)?,
+        };
+        Ok(Job::queue(&self.inner.queue, request, caller, permit))
+    }
+
+    /// Points out of all requests that are reserved, queued or running.
     #[must_use]
     pub fn queued_points(&self) -> u64 {
         self.inner.queue.points()
     }
 
-    /// How long the backlog will take at the rate measured so far; at least a second.
+    /// Points out that one client may have among them.
     #[must_use]
-    pub fn retry_after(&self) -> Duration {
-        self.inner.queue.backlog().max(Duration::from_secs(1))
+    pub fn client_points(&self) -> u64 {
+        self.inner.queue.bounds().client_points
     }
 
-    /// Points out a second, as measured so far; none before the first measurement.
+    /// Bytes that the requests at work take, as estimated.
+    #[must_use]
+    pub fn memory(&self) -> u64 {
+        self.inner.queue.memory()
+    }
+
+    /// Bytes that they may take.
+    #[must_use]
+    pub fn max_memory(&self) -> u64 {
+        self.inner.queue.bounds().memory
+    }
+
+    /// How long all that is admitted and not done will take.
+    #[must_use]
+    pub fn backlog(&self) -> Duration {
+        self.inner.queue.backlog()
+    }
+
+    /// How long a request takes alone on the machine; none before the first measurement.
+    #[must_use]
+    pub fn estimate(&self, cost: Cost) -> Option<Duration> {
+        self.inner.queue.estimate(cost)
+    }
+
+    /// Points out a second, of a large cloud at a ratio of four; none before the first measurement.
     #[must_use]
     pub fn rate(&self) -> Option<f64> {
-        self.inner.queue.rate()
+        let cost = Cost { points_in: Lane::EXPRESS, points_out: 4 * Lane::EXPRESS };
+        Some(cost.points_out as f64 / self.estimate(cost)?.as_secs_f64())
     }
 
     /// Where the model runs: `cpu`, for example.

@@ -44,6 +44,7 @@ pub(super) struct Watch {
     state: Mutex<State>,
     // Read before every batch and written at every batch's end, so not behind the mutex.
     cancelled: AtomicBool,
+    deadline: Option<Instant>,
     done: AtomicU64,
     total: AtomicU64,
 }
@@ -66,10 +67,12 @@ impl State {
 }
 
 impl Watch {
-    pub(super) fn new() -> Self {
+    /// Of work that is cancelled by itself at the deadline.
+    pub(super) fn new(deadline: Option<Instant>) -> Self {
         Self {
             state: Mutex::default(),
             cancelled: AtomicBool::new(false),
+            deadline,
             done: AtomicU64::new(0),
             total: AtomicU64::new(0),
         }
@@ -136,5 +139,6 @@ impl Observer for Watch {
 
     fn cancelled(&self) -> bool {
         self.cancelled.load(Ordering::Relaxed)
+            || self.deadline.is_some_and(|deadline| Instant::now() >= deadline)
     }
 }

@@ -17,5 +17,5 @@ mod tests;
 mod worker;
 
 pub use record::{Failure, NewJob, Record, ResultFile, State, Time};
-pub use store::{Store, StoreError, Submitted};
+pub use store::{Bounds, Load, Store, StoreError, Submitted};
 pub use worker::{Deleted, Jobs, Settings, Stopped, Task, Work, now};

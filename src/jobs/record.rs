@@ -53,7 +53,12 @@ pub struct NewJob {
     /// All of it but the cloud, as its sender will understand it when the job runs.
     pub request: String,
     /// A name for the request by its sender: a second one of that name is the same job.
+    /// Another owner's is another job.
     pub key: Option<String>,
+    /// Who alone may see it, and whose names of requests count; empty where everybody may.
+    pub owner: String,
+    /// Who sends it, for shares and turns.
+    pub client: String,
     /// The name of the request that brought it, for the log.
     pub request_id: String,
     /// Points in the cloud.
@@ -69,7 +74,7 @@ pub struct NewJob {
 /// One row of the database.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Record {
-    /// Jobs are run in this order.
+    /// Jobs of one client are run in this order.
     pub number: i64,
     /// Its name: 32 hexadecimal digits, not to be guessed.
     pub id: String,
@@ -77,6 +82,10 @@ pub struct Record {
     pub state: State,
     /// See [`NewJob::request`].
     pub request: String,
+    /// See [`NewJob::owner`].
+    pub owner: String,
+    /// See [`NewJob::client`].
+    pub client: String,
     /// See [`NewJob::request_id`].
     pub request_id: String,
     /// Points in the cloud.

@@ -26,10 +26,33 @@ pub struct Store {
     // wait for the disk.
     connection: Mutex<Connection>,
     files: Files,
-    /// Bytes that all jobs may take.
-    disk: u64,
+    bounds: Bounds,
     // Held while the store is open: two programs would run the same jobs.
     _lock: File,
+}
+
+/// What a store may hold.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Bounds {
+    /// Bytes that all jobs may take.
+    pub disk: u64,
+    /// Jobs that may be queued or running.
+    pub jobs: u64,
+    /// The same of one client.
+    pub client_jobs: u64,
+}
+
+/// What is queued or running.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Load {
+    /// Jobs.
+    pub jobs: u64,
+    /// Their points out.
+    pub points: u64,
+    /// Clients that have one.
+    pub clients: u64,
+    /// Jobs of the client that asks.
+    pub own: u64,
 }
 
 /// What became of a request for a job.
@@ -52,6 +75,22 @@ pub enum StoreError {
         /// What this one would take.
         wanted: u64,
         /// What they may take.
+        limit: u64,
+    },
+    /// As many jobs are queued or running as may.
+    #[error("{queued} jobs are queued or running; {limit} may be")]
+    Full {
+        /// How many there are.
+        queued: u64,
+        /// How many there may be.
+        limit: u64,
+    },
+    /// As many jobs of the client are queued or running as may.
+    #[error("{queued} jobs of this client are queued or running; {limit} may be")]
+    ClientFull {
+        /// How many there are.
+        queued: u64,
+        /// How many there may be.
         limit: u64,
     },
     /// The key belongs to another request.
@@ -94,7 +133,7 @@ impl StoreError {
     }
 }
 
-const VERSION: i64 = 1;
+const VERSION: i64 = 2;
 
 const SCHEMA: &str = "
     CREATE TABLE jobs (
@@ -102,7 +141,9 @@ const SCHEMA: &str = "
         id TEXT NOT NULL UNIQUE,
         state TEXT NOT NULL,
         request TEXT NOT NULL,
-        key TEXT UNIQUE,
+        owner TEXT NOT NULL,
+        client TEXT NOT NULL,
+        key TEXT,
         fingerprint TEXT NOT NULL,
         request_id TEXT NOT NULL,
         points_in INTEGER NOT NULL,
@@ -113,26 +154,39 @@ const SCHEMA: &str = "
         started INTEGER,
         finished INTEGER,
         result TEXT,
-        failure TEXT
+        failure TEXT,
+        UNIQUE (owner, key)
     ) STRICT;
     CREATE INDEX jobs_by_state ON jobs (state, number);
     CREATE INDEX jobs_by_end ON jobs (finished);
-    PRAGMA user_version = 1;";
+    CREATE INDEX jobs_by_client ON jobs (client, started);
+    PRAGMA user_version = 2;";
 
-const COLUMNS: &str = "number, id, state, request, request_id, points_in, points_out, attempts, created, \
+/// From version 1, which knew no clients: its jobs are nobody's, so whoever has to show a key does not see
+/// them.
+const FROM_1: (&str, &str) = (
+    "ALTER TABLE jobs RENAME TO old; DROP INDEX jobs_by_state; DROP INDEX jobs_by_end;",
+    "INSERT INTO jobs (number, id, state, request, owner, client, key, fingerprint, request_id, points_in, \
+         points_out, bytes, attempts, created, started, finished, result, failure)
+     SELECT number, id, state, request, '', '', key, fingerprint, request_id, points_in, points_out, bytes, \
+         attempts, created, started, finished, result, failure FROM old;
+     DROP TABLE old;",
+);
+
+const COLUMNS: &str = "number, id, state, request, owner, client, request_id, points_in, points_out, attempts, created, \
                        started, finished, result, failure";
 
 /// How long a statement waits for another program that has the database for itself, which no backup does.
 const BUSY: Duration = Duration::from_millis(500);
 
 impl Store {
-    /// Opens the folder, made where it is missing, for jobs that together may take `disk` bytes. Jobs that
-    /// were running are queued again, those that were started `attempts` times already fail, and leftovers
-    /// of files are removed.
+    /// Opens the folder, made where it is missing, and brings an older database up to date. Jobs that were
+    /// running are queued again, those that were started `attempts` times already fail, and leftovers of
+    /// files are removed.
     ///
     /// # Errors
     /// [`StoreError::Locked`], [`StoreError::Version`], or what the disk says.
-    pub fn open(folder: &Path, disk: u64, attempts: u32, now: Time) -> Result<Self, StoreError> {
+    pub fn open(folder: &Path, bounds: Bounds, attempts: u32, now: Time) -> Result<Self, StoreError> {
         let files = Files::open(folder.join("files"))?;
         let lock = File::create(folder.join("lock"))?;
         lock.try_lock().map_err(|error| match error {
@@ -147,11 +201,17 @@ impl Store {
         let transaction = connection.transaction()?;
         match transaction.query_row("PRAGMA user_version", [], |row| row.get(0))? {
             0 => transaction.execute_batch(SCHEMA)?,
+            1 => {
+                let (before, after) = FROM_1;
+                for step in [before, SCHEMA, after] {
+                    transaction.execute_batch(step)?;
+                }
+            }
             VERSION => {}
             other => return Err(StoreError::Version(other)),
         }
         transaction.commit()?;
-        let store = Self { connection: Mutex::new(connection), files, disk, _lock: lock };
+        let store = Self { connection: Mutex::new(connection), files, bounds, _lock: lock };
         store.recover(attempts, now)?;
         Ok(store)
     }
@@ -233,11 +293,13 @@ impl Store {
             return Ok(Submitted::Known(known));
         }
         database.execute(
-            "INSERT INTO jobs (id, state, request, key, fingerprint, request_id, points_in, points_out, bytes, \
-             created) VALUES (?, 'queued', ?, ?, ?, ?, ?, ?, ?, ?)",
+            "INSERT INTO jobs (id, state, request, owner, client, key, fingerprint, request_id, points_in, \
+             points_out, bytes, created) VALUES (?, 'queued', ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
             params![
                 id,
                 job.request,
+                job.owner,
+                job.client,
                 job.key,
                 fingerprint,
                 job.request_id,
@@ -261,9 +323,11 @@ impl Store {
     ) -> Result<Option<Record>, StoreError> {
         if let Some(key) = &job.key {
             let known: Option<(String, String)> = database
-                .query_row("SELECT id, fingerprint FROM jobs WHERE key = ?", [key], |row| {
-                    Ok((row.get(0)?, row.get(1)?))
-                })
+                .query_row(
+                    "SELECT id, fingerprint FROM jobs WHERE owner = ? AND key = ?",
+                    [&job.owner, key],
+                    |row| Ok((row.get(0)?, row.get(1)?)),
+                )
                 .optional()?;
             match known {
                 Some((id, same)) if same == fingerprint => return find(database, &id),
@@ -271,11 +335,40 @@ impl Store {
                 None => {}
             }
         }
-        let used = used(database)?;
-        if used.saturating_add(wanted) > self.disk {
-            return Err(StoreError::OverBudget { used, wanted, limit: self.disk });
+        self.check(database, &job.client)?;
+        let (used, limit) = (used(database)?, self.bounds.disk);
+        if used.saturating_add(wanted) > limit {
+            return Err(StoreError::OverBudget { used, wanted, limit });
         }
         Ok(None)
+    }
+
+    fn check(&self, database: &Connection, client: &str) -> Result<(), StoreError> {
+        let Load { jobs, own, .. } = load(database, client)?;
+        let Bounds { jobs: limit, client_jobs, .. } = self.bounds;
+        if own >= client_jobs {
+            return Err(StoreError::ClientFull { queued: own, limit: client_jobs });
+        }
+        if jobs >= limit {
+            return Err(StoreError::Full { queued: jobs, limit });
+        }
+        Ok(())
+    }
+
+    /// Whether one more job of a client may wait; to refuse it before its cloud has arrived.
+    ///
+    /// # Errors
+    /// [`StoreError::Full`], [`StoreError::ClientFull`], or what the database says.
+    pub fn has_room(&self, client: &str) -> Result<(), StoreError> {
+        self.check(&self.database(), client)
+    }
+
+    /// What is queued or running.
+    ///
+    /// # Errors
+    /// What the database says.
+    pub fn load(&self, client: &str) -> Result<Load, StoreError> {
+        load(&self.database(), client)
     }
 
     /// A job by its name.
@@ -286,25 +379,37 @@ impl Store {
         find(&self.database(), id)
     }
 
-    /// The newest jobs, at most `limit`, before the one of number `before`.
+    /// The newest jobs, at most `limit`, before the one of number `before`; of one owner, if one is given.
     ///
     /// # Errors
     /// What the database says.
-    pub fn list(&self, before: Option<i64>, limit: u32) -> Result<Vec<Record>, StoreError> {
+    pub fn list(
+        &self,
+        before: Option<i64>,
+        limit: u32,
+        owner: Option<&str>,
+    ) -> Result<Vec<Record>, StoreError> {
         let before = before.unwrap_or(i64::MAX);
-        select(&self.database(), "WHERE number < ? ORDER BY number DESC LIMIT ?", params![before, limit])
+        let which = "WHERE number < ?1 AND (?3 IS NULL OR owner = ?3) ORDER BY number DESC LIMIT ?2";
+        select(&self.database(), which, params![before, limit, owner])
     }
 
-    /// How many queued jobs are before this one, and their points out.
+    /// How many queued jobs are before this one, and their points out: those of its client, and as many of each
+    /// other's.
     ///
     /// # Errors
     /// What the database says.
     pub fn ahead(&self, job: &Record) -> Result<(u64, u64), StoreError> {
-        let ahead = self.database().query_row(
-            "SELECT count(*), coalesce(sum(points_out), 0) FROM jobs WHERE state = 'queued' AND number < ?",
-            [job.number],
-            |row| Ok((row.get(0).map(natural)?, row.get(1).map(natural)?)),
-        )?;
+        let sql = "WITH queued AS (
+                SELECT client, number, points_out,
+                    row_number() OVER (PARTITION BY client ORDER BY number) AS turn
+                FROM jobs WHERE state = 'queued'
+            ), own AS (SELECT turn FROM queued WHERE number = ?1)
+            SELECT count(*), coalesce(sum(points_out), 0) FROM queued, own
+            WHERE queued.turn < own.turn OR (queued.turn = own.turn AND number < ?1)";
+        let ahead = self
+            .database()
+            .query_row(sql, [job.number], |row| Ok((row.get(0).map(natural)?, row.get(1).map(natural)?)))?;
         Ok(ahead)
     }
 
@@ -330,16 +435,15 @@ impl Store {
         used(&self.database())
     }
 
-    /// Starts the job that has waited longest.
+    /// Starts the next job: of the client whose last was started longest ago, the one that has waited longest.
     ///
     /// # Errors
     /// What the database says; no job has been started then.
     pub fn claim(&self, now: Time) -> Result<Option<Record>, StoreError> {
         let database = self.database();
-        let Some(next) = select(&database, "WHERE state = 'queued' ORDER BY number LIMIT 1", [])?.pop()
-        else {
-            return Ok(None);
-        };
+        let which = "WHERE state = 'queued' ORDER BY
+            (SELECT max(started) FROM jobs other WHERE other.client = jobs.client) NULLS FIRST, number LIMIT 1";
+        let Some(next) = select(&database, which, [])?.pop() else { return Ok(None) };
         database.execute(
             "UPDATE jobs SET state = 'running', attempts = attempts + 1, started = ? WHERE id = ?",
             params![now, next.id],
@@ -509,6 +613,16 @@ fn used(database: &Connection) -> Result<u64, StoreError> {
     Ok(database.query_row("SELECT coalesce(sum(bytes), 0) FROM jobs", [], |row| row.get(0).map(natural))?)
 }
 
+fn load(database: &Connection, client: &str) -> Result<Load, StoreError> {
+    let sql = "SELECT count(*), coalesce(sum(points_out), 0), count(DISTINCT client), \
+               coalesce(sum(client = ?), 0) FROM jobs WHERE state IN ('queued', 'running')";
+    let number = |row: &Row<'_>, column: usize| row.get(column).map(natural);
+    Ok(database.query_row(sql, [client], |row| {
+        let (jobs, points) = (number(row, 0)?, number(row, 1)?);
+        Ok(Load { jobs, points, clients: number(row, 2)?, own: number(row, 3)? })
+    })?)
+}
+
 fn find(database: &Connection, id: &str) -> Result<Option<Record>, StoreError> {
     Ok(select(database, "WHERE id = ?", [id])?.pop())
 }
@@ -532,15 +646,17 @@ fn record(row: &Row<'_>) -> rusqlite::Result<Record> {
         // Cannot be another: only this file writes it.
         state: State::of_name(&state).ok_or(rusqlite::Error::InvalidQuery)?,
         request: row.get(3)?,
-        request_id: row.get(4)?,
-        points_in: row.get(5).map(natural)?,
-        points_out: row.get(6).map(natural)?,
-        attempts: row.get(7)?,
-        created: row.get(8)?,
-        started: row.get(9)?,
-        finished: row.get(10)?,
-        result: text(11)?.and_then(|text| serde_json::from_str(&text).ok()),
-        failure: text(12)?.and_then(|text| serde_json::from_str(&text).ok()),
+        owner: row.get(4)?,
+        client: row.get(5)?,
+        request_id: row.get(6)?,
+        points_in: row.get(7).map(natural)?,
+        points_out: row.get(8).map(natural)?,
+        attempts: row.get(9)?,
+        created: row.get(10)?,
+        started: row.get(11)?,
+        finished: row.get(12)?,
+        result: text(13)?.and_then(|text| serde_json::from_str(&text).ok()),
+        failure: text(14)?.and_then(|text| serde_json::from_str(&text).ok()),
     })
 }
 

@@ -12,16 +12,19 @@ use super::*;
 use crate::provenance::hexadecimal;
 
 const DISK: u64 = 1000;
+const BOUNDS: Bounds = Bounds { disk: DISK, jobs: 1000, client_jobs: 1000 };
 const ATTEMPTS: u32 = 3;
 
 fn open(folder: &Path, now: Time) -> Store {
-    Store::open(folder, DISK, ATTEMPTS, now).expect("a store")
+    Store::open(folder, BOUNDS, ATTEMPTS, now).expect("a store")
 }
 
 fn job(request: &str, key: Option<&str>, input: &[u8]) -> NewJob {
     NewJob {
         request: request.into(),
         key: key.map(str::to_owned),
+        owner: String::new(),
+        client: String::new(),
         request_id: "r".into(),
         points_in: input.len() as u64,
         points_out: 4 * input.len() as u64,
@@ -99,7 +102,7 @@ struct Model {
 }
 
 fn check(store: &Store, folder: &Path, model: &BTreeMap<String, Model>) -> Result<(), TestCaseError> {
-    let listed = store.list(None, 1000).expect("a list");
+    let listed = store.list(None, 1000, None).expect("a list");
     prop_assert_eq!(listed.len(), model.len());
     for record in &listed {
         let known = &model[&record.id];
@@ -306,12 +309,92 @@ fn a_result_is_seen_whole_with_its_hash_or_not_at_all() {
 fn a_folder_is_open_once_and_a_later_version_is_not_touched() {
     let dir = tempfile::tempdir().expect("a folder");
     let store = open(dir.path(), 0);
-    assert!(matches!(Store::open(dir.path(), DISK, ATTEMPTS, 0), Err(StoreError::Locked)));
+    assert!(matches!(Store::open(dir.path(), BOUNDS, ATTEMPTS, 0), Err(StoreError::Locked)));
     drop(store);
     let database = rusqlite::Connection::open(dir.path().join("jobs.sqlite")).expect("a database");
-    database.pragma_update(None, "user_version", 2).expect("a version");
+    database.pragma_update(None, "user_version", 3).expect("a version");
     drop(database);
-    assert!(matches!(Store::open(dir.path(), DISK, ATTEMPTS, 0), Err(StoreError::Version(2))));
+    assert!(matches!(Store::open(dir.path(), BOUNDS, ATTEMPTS, 0), Err(StoreError::Version(3))));
+}
+
+fn of(client: &str, key: Option<&str>) -> NewJob {
+    NewJob { owner: client.into(), client: client.into(), ..job("4x", key, b"abc") }
+}
+
+#[test]
+fn clients_take_turns_and_have_their_own_names_for_requests() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let store = open(dir.path(), 0);
+    let first: Vec<_> = (0..3).map(|now| submit(&store, &of("a", None), now)).collect();
+    let key = submit(&store, &of("a", Some("key")), 3);
+    let b = submit(&store, &of("b", Some("key")), 4);
+    assert_ne!(key, b, "another owner's key is another key");
+    assert_eq!(store.submit(&of("b", Some("key")), 5).expect("room"), {
+        Submitted::Known(store.get(&b).expect("no fault").expect("the job"))
+    });
+    let ahead =
+        |id: &String| store.ahead(&store.get(id).expect("no fault").expect("the job")).expect("no fault").0;
+    assert_eq!([&first[0], &first[1], &first[2], &b].map(ahead), [0, 2, 3, 1]);
+    let claim = |now| store.claim(now).expect("no fault").map(|job| job.id);
+    let order: Vec<_> = (10..15).filter_map(claim).collect();
+    assert_eq!(order, [&first[0], &b, &first[1], &first[2], &key].map(Clone::clone));
+    let listed = |owner| store.list(None, 10, owner).expect("a list").len();
+    assert_eq!([listed(None), listed(Some("a")), listed(Some("b")), listed(Some("c"))], [5, 4, 1, 0]);
+}
+
+#[test]
+fn no_more_jobs_wait_than_may() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let bounds = Bounds { jobs: 3, client_jobs: 2, ..BOUNDS };
+    let store = Store::open(dir.path(), bounds, ATTEMPTS, 0).expect("a store");
+    let first = submit(&store, &of("a", Some("key")), 0);
+    submit(&store, &of("a", None), 0);
+    let refused = store.submit(&of("a", None), 0);
+    assert!(matches!(refused, Err(StoreError::ClientFull { queued: 2, limit: 2 })), "{refused:?}");
+    assert!(matches!(store.submit(&of("a", Some("key")), 0), Ok(Submitted::Known(_))), "it is there already");
+    submit(&store, &of("b", None), 0);
+    assert!(matches!(store.has_room("b"), Err(StoreError::Full { queued: 3, limit: 3 })));
+    assert_eq!(store.load("a").expect("no fault"), Load { jobs: 3, points: 36, clients: 2, own: 2 });
+    assert!(store.cancel(&first, 1).expect("no fault"));
+    assert!(store.has_room("a").is_ok());
+    assert_eq!(files(dir.path()).len(), 2, "what was refused leaves nothing");
+}
+
+#[test]
+fn a_database_without_clients_is_brought_up_to_date() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let store = open(dir.path(), 0);
+    let (queued, done) =
+        (submit(&store, &job("a", Some("key"), b"abc"), 0), submit(&store, &job("b", None, b"x"), 0));
+    drop(store);
+    let database = rusqlite::Connection::open(dir.path().join("jobs.sqlite")).expect("a database");
+    database
+        .execute_batch(
+            "CREATE TABLE old (
+                number INTEGER PRIMARY KEY AUTOINCREMENT, id TEXT NOT NULL UNIQUE, state TEXT NOT NULL,
+                request TEXT NOT NULL, key TEXT UNIQUE, fingerprint TEXT NOT NULL, request_id TEXT NOT NULL,
+                points_in INTEGER NOT NULL, points_out INTEGER NOT NULL, bytes INTEGER NOT NULL,
+                attempts INTEGER NOT NULL DEFAULT 0, created INTEGER NOT NULL, started INTEGER,
+                finished INTEGER, result TEXT, failure TEXT) STRICT;
+            INSERT INTO old SELECT number, id, state, request, key, fingerprint, request_id, points_in, points_out,
+                bytes, attempts, created, started, finished, result, failure FROM jobs;
+            DROP TABLE jobs;
+            ALTER TABLE old RENAME TO jobs;
+            CREATE INDEX jobs_by_state ON jobs (state, number);
+            CREATE INDEX jobs_by_end ON jobs (finished);
+            PRAGMA user_version = 1;",
+        )
+        .expect("a database of version 1");
+    drop(database);
+    let store = open(dir.path(), 1);
+    assert!(matches!(store.submit(&job("a", Some("key"), b"abc"), 2), Ok(Submitted::Known(_))));
+    assert_eq!(store.claim(3).expect("no fault").map(|job| job.id), Some(queued.clone()));
+    write(&store, &queued, b"abc");
+    let ids = store.list(None, 10, Some("")).expect("a list").into_iter().map(|job| job.id);
+    assert_eq!(ids.collect::<Vec<_>>(), [done, queued]);
+    assert_eq!(store.list(None, 10, Some("a")).expect("a list").len(), 0, "nobody's");
+    drop(store);
+    drop(open(dir.path(), 4));
 }
 
 /// Work that says when it is at it, and goes on when told how.
@@ -374,7 +457,7 @@ fn each_end_of_the_work_is_its_jobs_state() {
         }
     }
     jobs.join();
-    for job in jobs.store().list(None, 100).expect("a list") {
+    for job in jobs.store().list(None, 100, None).expect("a list") {
         let (state, attempts) = match ids[&job.id] {
             "done" | "later" => (State::Done, 1),
             "stopped" => (State::Queued, 0),

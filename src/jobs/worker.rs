@@ -11,7 +11,7 @@ use std::time::{Duration, SystemTime};
 use tokio::sync::watch;
 
 use super::record::{Failure, NewJob, Record, Time};
-use super::store::{Store, StoreError, Submitted};
+use super::store::{Bounds, Store, StoreError, Submitted};
 use crate::engine::{self, EngineError, Outcome, Progress, ProgressHandle};
 
 /// How jobs are kept and run.
@@ -25,15 +25,27 @@ pub struct Settings {
     pub expiry: Duration,
     /// Bytes of the disk that jobs may take (`--job-disk`).
     pub disk: u64,
+    /// Jobs that may be queued or running (`--max-jobs`).
+    pub queued: u64,
+    /// The same of one client (`--client-jobs`).
+    pub client_queued: u64,
     /// How often a job is started before it counts as failed (`--job-attempts`).
     pub attempts: u32,
 }
 
 impl Settings {
-    /// One at a time, kept for a day, in at most 10 GiB.
+    /// One at a time, a thousand that wait, a hundred of them one client's, kept for a day, in at most 10 GiB.
     #[must_use]
     pub fn new(folder: PathBuf) -> Self {
-        Self { folder, running: 1, expiry: Duration::from_secs(24 * 3600), disk: 10 << 30, attempts: 3 }
+        Self {
+            folder,
+            running: 1,
+            expiry: Duration::from_secs(24 * 3600),
+            disk: 10 << 30,
+            queued: 1000,
+            client_queued: 100,
+            attempts: 3,
+        }
     }
 }
 
@@ -167,7 +179,9 @@ impl Jobs {
     /// # Errors
     /// As [`Store::open`].
     pub fn open(settings: Settings) -> Result<Self, StoreError> {
-        let store = Store::open(&settings.folder, settings.disk, settings.attempts, now())?;
+        let bounds =
+            Bounds { disk: settings.disk, jobs: settings.queued, client_jobs: settings.client_queued };
+        let store = Store::open(&settings.folder, bounds, settings.attempts, now())?;
         Ok(Self {
             store,
             settings,

@@ -18,7 +18,9 @@ use super::config::Config;
 use super::metrics::Metrics;
 use super::problem::Problem;
 use super::readiness::Readiness;
-use super::{compress, cors, grpc, inference, jobs, jobs_events, jobs_result, openapi, record, upsample};
+use super::{
+    client, compress, cors, grpc, inference, jobs, jobs_events, jobs_result, openapi, record, upsample,
+};
 use crate::engine::Engine;
 use crate::jobs::Jobs;
 
@@ -89,6 +91,7 @@ pub(super) fn router(app: Arc<App>) -> Router {
         .merge(grpc::routes(&app))
         .fallback(|| async { Problem::NotFound })
         .method_not_allowed_fallback(|| async { Problem::MethodNotAllowed })
+        .layer(middleware::from_fn_with_state(Arc::clone(&app), client::identify))
         .layer(middleware::from_fn_with_state(Arc::clone(&app), compress::compress));
     let routes = match cors::layer(&app.config.cors) {
         Some(cors) => routes.layer(cors),
@@ -115,6 +118,6 @@ async fn metrics(State(app): State<Arc<App>>) -> impl IntoResponse {
     if let Ok(Ok(counts)) = timeout(COUNTS, jobs::ask(&app, |jobs| Ok(jobs.store().counts()?))).await {
         app.metrics.jobs(&counts);
     }
-    let page = app.metrics.render(app.engine.queued_points(), app.budget.used());
+    let page = app.metrics.render(&app.engine, app.budget.used());
     ([(header::CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")], page)
 }

@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use super::client::Access;
 use super::cors::CorsOrigin;
 use super::download::result_bytes;
 use crate::backend::ModelName;
@@ -15,6 +16,8 @@ pub struct Config {
     pub limits: Limits,
     /// How long.
     pub timeouts: Timeouts,
+    /// Who may ask.
+    pub access: Access,
     /// Whether and how jobs are kept; none without a folder (`--data-dir`).
     pub jobs: Option<Settings>,
     /// The sites whose pages may use the server from a browser (`--cors-origin`); none by default.
@@ -109,6 +112,8 @@ impl Config {
             ("--stall-timeout", stall.is_zero()),
             ("--request-timeout", request.is_zero()),
             ("--jobs-running", self.jobs.as_ref().is_some_and(|jobs| jobs.running == 0)),
+            ("--max-jobs", self.jobs.as_ref().is_some_and(|jobs| jobs.queued == 0)),
+            ("--client-jobs", self.jobs.as_ref().is_some_and(|jobs| jobs.client_queued == 0)),
             ("--job-attempts", self.jobs.as_ref().is_some_and(|jobs| jobs.attempts == 0)),
         ] {
             if zero {

@@ -184,7 +184,7 @@ impl Write for Sink {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         if (self.bytes.len() + bytes.len()) as u64 > self.limit {
             self.refusal = Some(Refusal::TooLarge);
-        } else if !self.held.grow(bytes.len() as u64) {
+        } else if !self.held.grow(bytes.len() as u64) || self.bytes.try_reserve(bytes.len()).is_err() {
             self.refusal = Some(Refusal::NoRoom);
         }
         if self.refusal.is_some() {

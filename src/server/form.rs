@@ -28,7 +28,8 @@ const CLOUD: &str = "cloud";
 const BESIDE: u64 = 1 << 20;
 
 impl Asking {
-    /// Receives a request: a query and a cloud, or a form.
+    /// Receives a request: a query and a cloud, or a form. `known` hears the points in and out as soon as the cloud's header
+    /// tells them, where it does; of a form whose parameters are yet to come, the fewest that may come out.
     ///
     /// # Errors
     /// See [`Upload::receive`] and [`Parameters::from_pairs`]; and [`Problem::MalformedRequest`] for what is no form.
@@ -37,12 +38,14 @@ impl Asking {
         uri: &Uri,
         headers: &HeaderMap,
         app: &App,
+        mut known: impl FnMut(u64, u64) -> Result<(), Problem>,
     ) -> Result<Self, Problem> {
         if let Some(kind) = form(headers) {
-            return Self::receive_form(upload, uri, headers, &kind, app).await;
+            return Self::receive_form(upload, uri, headers, &kind, app, known).await;
         }
         let parameters = Parameters::parse(uri)?;
-        let received = upload.receive(headers, app, &parameters).await?;
+        let known = |points| known(points, parameters.points_out(points));
+        let received = upload.receive(headers, app, known).await?;
         Ok(Self { parameters, query: uri.query().unwrap_or_default().to_owned(), received })
     }
 
@@ -52,6 +55,7 @@ impl Asking {
         headers: &HeaderMap,
         kind: &str,
         app: &App,
+        mut known: impl FnMut(u64, u64) -> Result<(), Problem>,
     ) -> Result<Self, Problem> {
         let boundary = multer::parse_boundary(kind).map_err(malformed)?;
         if Coding::of(headers)? != Coding::Identity {
@@ -83,7 +87,7 @@ impl Asking {
                 if received.is_some() {
                     return Err(Problem::parameter(&name, "a second file; a form has one cloud".into()));
                 }
-                received = Some(receive_file(field, &pairs, &beside, app).await?);
+                received = Some(receive_file(field, &pairs, &beside, app, &mut known).await?);
             } else {
                 let value = field.text().await.map_err(malformed)?;
                 add(&mut pairs, name, value)?;
@@ -133,10 +137,13 @@ async fn receive_file(
     pairs: &[(String, String)],
     beside: &AtomicU64,
     app: &App,
+    mut known: impl FnMut(u64, u64) -> Result<(), Problem>,
 ) -> Result<Received, Problem> {
     // Parameters that follow the file are judged when they come.
     let parameters = Parameters::from_pairs(pairs).ok();
-    let mut check = HeaderCheck::new(app, parameters.as_ref());
+    let mut check = HeaderCheck::new(app, |points| {
+        known(points, parameters.as_ref().map_or(points, |parameters| parameters.points_out(points)))
+    });
     let mut arrival = Arrival::begin(Coding::of(field.headers())?, app)?;
     while let Some(piece) = field.chunk().await.map_err(malformed)? {
         beside.fetch_sub(piece.len() as u64, Ordering::Relaxed);

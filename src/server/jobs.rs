@@ -15,16 +15,18 @@ use tokio::time::timeout;
 use super::accepted::accepted;
 use super::app::App;
 use super::budget::Held;
+use super::deadline::Deadline;
 use super::form::Asking;
 use super::jobs_document::Document;
 use super::jobs_work::Asked;
-use super::problem::Problem;
+use super::problem::{Problem, SOON};
 use super::query::{self, Parameters};
 use super::request_id::RequestId;
 use super::upload::{Received, Upload};
 use super::upsample::{Order, prepare};
+use crate::engine::{Client, Cost};
 use crate::formats::Format;
-use crate::jobs::{Deleted, Jobs, NewJob, StoreError, Submitted};
+use crate::jobs::{Deleted, Jobs, Load, NewJob, Record, StoreError, Submitted};
 
 impl App {
     pub(super) fn jobs(&self) -> Result<&Arc<Jobs>, Problem> {
@@ -37,6 +39,8 @@ impl From<StoreError> for Problem {
         match error {
             StoreError::OverBudget { used, wanted, limit } => Self::JobDisk { used, wanted, limit },
             StoreError::OtherRequest => Self::KeyReused,
+            StoreError::Full { queued, limit } => Self::JobsFull { queued, limit, retry_after: SOON },
+            StoreError::ClientFull { queued, limit } => Self::ClientJobs { queued, limit, retry_after: SOON },
             error if error.is_full() => Self::DiskFull(error.to_string()),
             error if error.is_busy() => Self::JobsBusy,
             error => Self::Internal(error.to_string()),
@@ -73,21 +77,52 @@ pub(super) async fn ask<T: Send + 'static>(
 pub(super) async fn submit(
     State(app): State<Arc<App>>,
     Extension(id): Extension<RequestId>,
+    Extension(client): Extension<Client>,
     uri: Uri,
     headers: HeaderMap,
     body: Body,
 ) -> Result<Response, Problem> {
     let mut upload = Upload::new(&headers, body);
-    let limit = app.config.timeouts.request;
-    let answer = timeout(limit, take(&app, &id, &uri, &headers, &mut upload)).await;
-    let answer = answer.unwrap_or(Err(Problem::Deadline { limit }));
+    let answer = match Deadline::of(&headers, app.config.timeouts.request) {
+        Ok(deadline) => {
+            deadline.enter("of upload");
+            deadline.run(take(&app, &id, &client, &uri, &headers, &mut upload)).await
+        }
+        Err(problem) => Err(problem),
+    };
     upload.give_up();
+    if let Err(problem @ (Problem::JobsFull { .. } | Problem::ClientJobs { .. } | Problem::JobDisk { .. })) =
+        &answer
+    {
+        app.metrics.refused(problem.outcome());
+    }
     answer
+}
+
+/// Tells a client whose job is refused when to come back: when as many of the jobs that wait are done as were one
+/// too many, its own by turns with the others'.
+fn refused(app: &App, jobs: &Jobs, client: &Client, error: StoreError) -> Problem {
+    let wait = |clients: u64, load: Load| {
+        let points = load.points as f64 / load.jobs.max(1) as f64 * clients.max(1) as f64;
+        let seconds = points / app.engine.rate()? / jobs.settings().running.max(1) as f64;
+        Duration::try_from_secs_f64(seconds).ok()
+    };
+    let load = jobs.store().load(client.name()).unwrap_or_default();
+    match error {
+        StoreError::Full { queued, limit } => {
+            Problem::JobsFull { queued, limit, retry_after: wait(1, load).unwrap_or(SOON) }
+        }
+        StoreError::ClientFull { queued, limit } => {
+            Problem::ClientJobs { queued, limit, retry_after: wait(load.clients, load).unwrap_or(SOON) }
+        }
+        error => error.into(),
+    }
 }
 
 async fn take(
     app: &Arc<App>,
     id: &RequestId,
+    client: &Client,
     uri: &Uri,
     headers: &HeaderMap,
     upload: &mut Upload,
@@ -96,12 +131,26 @@ async fn take(
     app.readiness.check()?;
     let wanted = accepted(headers)?;
     let key = idempotency_key(headers)?;
-    let Asking { parameters, query, received } = Asking::receive(upload, uri, headers, app).await?;
+    if key.is_none() {
+        // With a key it may be one that is there already.
+        let (shared, client) = (Arc::clone(app), client.clone());
+        let room = move |jobs: &Arc<Jobs>| {
+            jobs.store().has_room(client.name()).map_err(|error| refused(&shared, jobs, &client, error))
+        };
+        ask(app, room).await?;
+    }
+    let known = |points_in, points_out| {
+        app.check_points(points_in, points_out)?;
+        app.engine.check_memory(Cost { points_in, points_out }).map_err(Problem::from_engine)
+    };
+    let Asking { parameters, query, received } = Asking::receive(upload, uri, headers, app, known).await?;
     let asked = Asked::of(query, headers);
-    let (shared, id) = (Arc::clone(app), id.as_str().to_owned());
+    let (shared, client, id) = (Arc::clone(app), client.clone(), id.as_str().to_owned());
     let (submitted, document) = ask(app, move |jobs| {
         let (job, _held) = new_job(&shared, received, &parameters, wanted, &asked)?;
-        let submitted = jobs.submit(&NewJob { key, request_id: id, ..job })?;
+        let owner = shared.config.access.owner(&client).unwrap_or_default();
+        let job = NewJob { key, owner, client: client.name().to_owned(), request_id: id, ..job };
+        let submitted = jobs.submit(&job).map_err(|error| refused(&shared, jobs, &client, error))?;
         let (Submitted::New(record) | Submitted::Known(record)) = &submitted;
         let document = Document::of(&shared, jobs, record)?;
         Ok((submitted, document))
@@ -127,10 +176,14 @@ fn new_job(
     let prepared = prepare(app, Order::read(app, &received, parameters.clone(), wanted)?)?;
     let finite = prepared.request.cloud.positions.iter().filter(|p| p.iter().all(|c| c.is_finite())).count();
     let points_out = prepared.request.target.points_out(finite as u64)?;
+    let cost = Cost { points_in: finite as u64, points_out };
+    app.engine.check_memory(cost).map_err(Problem::from_engine)?;
     let (input, held) = received.into_parts();
     let job = NewJob {
         request: asked.text(),
         key: None,
+        owner: String::new(),
+        client: String::new(),
         request_id: String::new(),
         points_in: prepared.about.points_in,
         points_out,
@@ -157,16 +210,35 @@ fn idempotency_key(headers: &HeaderMap) -> Result<Option<String>, Problem> {
 /// `GET /jobs/{id}`.
 pub(super) async fn get(
     State(app): State<Arc<App>>,
+    Extension(client): Extension<Client>,
     Path(id): Path<String>,
 ) -> Result<Json<Document>, Problem> {
-    Ok(Json(Document::ask(&app, id).await?))
+    Ok(Json(Document::ask(&app, &client, id).await?))
+}
+
+/// The record of a job that a client may see.
+///
+/// # Errors
+/// [`Problem::NoJob`], for another's as for none.
+pub(super) fn seen(app: &App, jobs: &Jobs, client: &Client, id: &str) -> Result<Record, Problem> {
+    let owner = app.config.access.owner(client);
+    let found = jobs.store().get(id)?.filter(|job| owner.is_none_or(|owner| owner == job.owner));
+    found.ok_or_else(|| Problem::NoJob(id.to_owned()))
 }
 
 /// `DELETE /jobs/{id}`: cancels a job that is not over (200, and the job), forgets one that is (204).
-pub(super) async fn delete(State(app): State<Arc<App>>, Path(id): Path<String>) -> Result<Response, Problem> {
-    let name = id.clone();
-    match ask(&app, move |jobs| Ok(jobs.delete(&name)?)).await? {
-        Some(Deleted::Cancelled) => Ok(Json(Document::ask(&app, id).await?).into_response()),
+pub(super) async fn delete(
+    State(app): State<Arc<App>>,
+    Extension(client): Extension<Client>,
+    Path(id): Path<String>,
+) -> Result<Response, Problem> {
+    let (shared, name, of) = (Arc::clone(&app), id.clone(), client.clone());
+    let deleted = ask(&app, move |jobs| {
+        seen(&shared, jobs, &of, &name)?;
+        Ok(jobs.delete(&name)?)
+    });
+    match deleted.await? {
+        Some(Deleted::Cancelled) => Ok(Json(Document::ask(&app, &client, id).await?).into_response()),
         Some(Deleted::Forgotten) => Ok(StatusCode::NO_CONTENT.into_response()),
         None => Err(Problem::NoJob(id)),
     }
@@ -186,12 +258,17 @@ const PAGE: u32 = 20;
 const LONGEST_PAGE: u32 = 100;
 
 /// `GET /jobs`: the newest first.
-pub(super) async fn list(State(app): State<Arc<App>>, uri: Uri) -> Result<Json<Page>, Problem> {
+pub(super) async fn list(
+    State(app): State<Arc<App>>,
+    Extension(client): Extension<Client>,
+    uri: Uri,
+) -> Result<Json<Page>, Problem> {
     let (before, limit) = page_of(&uri)?;
+    let owner = app.config.access.owner(&client);
     let shared = Arc::clone(&app);
     let page = ask(&app, move |jobs| {
         // One more than asked for tells whether there is another page.
-        let mut records = jobs.store().list(before, limit + 1)?;
+        let mut records = jobs.store().list(before, limit + 1, owner.as_deref())?;
         let more = records.len() > limit as usize;
         records.truncate(limit as usize);
         let last = records.last().map(|record| record.number).filter(|_| more);

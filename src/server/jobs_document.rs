@@ -6,9 +6,10 @@ use serde::Serialize;
 use serde_json::Value;
 
 use super::app::App;
-use super::jobs::ask;
+use super::jobs::{ask, seen};
 use super::problem::Problem;
 use super::upsample::About;
+use crate::engine::Client;
 use crate::jobs::{Failure, Jobs, Record, ResultFile, State, Time, now};
 
 /// One job.
@@ -65,13 +66,9 @@ struct ResultDocument {
 
 impl Document {
     /// A job by its name.
-    pub(super) async fn ask(app: &Arc<App>, id: String) -> Result<Self, Problem> {
-        let shared = Arc::clone(app);
-        ask(app, move |jobs| match jobs.store().get(&id)? {
-            Some(record) => Self::of(&shared, jobs, &record),
-            None => Err(Problem::NoJob(id)),
-        })
-        .await
+    pub(super) async fn ask(app: &Arc<App>, client: &Client, id: String) -> Result<Self, Problem> {
+        let (shared, client) = (Arc::clone(app), client.clone());
+        ask(app, move |jobs| Self::of(&shared, jobs, &seen(&shared, jobs, &client, &id)?)).await
     }
 
     /// Blocks for moments.

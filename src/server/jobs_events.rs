@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use axum::body::{Body, Bytes};
-use axum::extract::{Path, State};
+use axum::extract::{Extension, Path, State};
 use axum::http::{HeaderValue, header};
 use axum::response::{IntoResponse, Response};
 use futures::stream;
@@ -14,6 +14,7 @@ use tokio::time::{Instant, sleep};
 use super::app::App;
 use super::jobs_document::{Document, Progress};
 use super::problem::Problem;
+use crate::engine::Client;
 
 /// How often progress is looked at; a change of state is told at once.
 const TICK: Duration = Duration::from_millis(250);
@@ -22,11 +23,15 @@ const ALIVE: Duration = Duration::from_secs(10);
 
 /// The handler. An event has the name of its kind, `progress` or a final state, and the job as `GET
 /// /jobs/{id}` tells it. The stream ends with the job, and when the server stops.
-pub(super) async fn events(State(app): State<Arc<App>>, Path(id): Path<String>) -> Result<Response, Problem> {
+pub(super) async fn events(
+    State(app): State<Arc<App>>,
+    Extension(client): Extension<Client>,
+    Path(id): Path<String>,
+) -> Result<Response, Problem> {
     let changes = app.jobs()?.changes();
-    let first = Document::ask(&app, id.clone()).await?;
+    let first = Document::ask(&app, &client, id.clone()).await?;
     let alive = ALIVE.min(app.config.timeouts.stall / 3);
-    let state = Events { app, id, changes, alive, first: Some(first), told: None, over: false };
+    let state = Events { app, client, id, changes, alive, first: Some(first), told: None, over: false };
     let body = Body::from_stream(stream::unfold(state, |mut events| async move {
         let text = events.next().await?;
         Some((Ok::<_, std::convert::Infallible>(Bytes::from(text)), events))
@@ -40,6 +45,7 @@ pub(super) async fn events(State(app): State<Arc<App>>, Path(id): Path<String>) 
 
 struct Events {
     app: Arc<App>,
+    client: Client,
     id: String,
     changes: watch::Receiver<()>,
     alive: Duration,
@@ -63,7 +69,7 @@ impl Events {
             self.changes.mark_unchanged();
             let document = match self.first.take() {
                 Some(first) => Ok(first),
-                None => Document::ask(&self.app, self.id.clone()).await,
+                None => Document::ask(&self.app, &self.client, self.id.clone()).await,
             };
             let document = match document {
                 Ok(document) => document,

@@ -6,7 +6,7 @@ use std::ops::Range;
 use std::sync::Arc;
 
 use axum::body::{Body, Bytes};
-use axum::extract::{Path, State};
+use axum::extract::{Extension, Path, State};
 use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use futures::stream;
@@ -14,9 +14,10 @@ use tokio::task::spawn_blocking;
 
 use super::app::App;
 use super::compress::{AsIs, Compression};
-use super::jobs::ask;
+use super::jobs::{ask, seen};
 use super::jobs_document::about;
 use super::problem::Problem;
+use crate::engine::Client;
 
 /// Bytes read at a time.
 const CHUNK: u64 = 256 << 10;
@@ -24,16 +25,18 @@ const CHUNK: u64 = 256 << 10;
 /// The handler. Also answers `HEAD`, since axum leaves the body out there.
 pub(super) async fn result(
     State(app): State<Arc<App>>,
+    Extension(client): Extension<Client>,
     Path(id): Path<String>,
     method: Method,
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
-    let (result, mut file) = ask(&app, move |jobs| match jobs.store().result(&id)? {
-        Some((_, result, file)) => Ok((result, file)),
-        None => match jobs.store().get(&id)? {
-            Some(record) => Err(Problem::JobNotDone { state: record.state.name() }),
-            None => Err(Problem::NoJob(id)),
-        },
+    let shared = Arc::clone(&app);
+    let (result, mut file) = ask(&app, move |jobs| {
+        let record = seen(&shared, jobs, &client, &id)?;
+        match jobs.store().result(&id)? {
+            Some((_, result, file)) => Ok((result, file)),
+            None => Err(Problem::JobNotDone { state: record.state.name() }),
+        }
     })
     .await?;
     let about = about(&result)?;

@@ -12,7 +12,7 @@ use super::problem::Problem;
 use super::query::Parameters;
 use super::upload::Received;
 use super::upsample::{Order, Prepared, prepare};
-use crate::engine::EngineError;
+use crate::engine::{Caller, Client, EngineError};
 use crate::formats::{Format, FormatError, encode};
 use crate::jobs::{Record, Stopped, Task, Work};
 
@@ -72,13 +72,17 @@ impl Work for Upsampling {
         drop(received);
         let Prepared { request, room, format, origin, mut about } = prepared;
         let _held = app.budget.hold(room).ok_or(Stopped::Later)?;
-        let outcome =
-            app.engine.submit(request).and_then(|job| task.wait(job)).map_err(|error| match error {
+        // Beside the same client's live requests: one that waits for these would hold up other clients' jobs.
+        let caller = Caller { client: Client::new(&format!("jobs of {}", job.client)), deadline: None };
+        let outcome = app.engine.submit_for(&caller, request, None).and_then(|job| task.wait(job)).map_err(
+            |error| match error {
                 // Live requests have the points; a job can wait.
-                EngineError::Full { .. } => Stopped::Later,
+                EngineError::Full { .. } | EngineError::Share { .. } => Stopped::Later,
                 EngineError::Cancelled => Stopped::Cancelled,
-                error => refused(Problem::from_engine(error, app.engine.retry_after())),
-            })?;
+                error => refused(Problem::from_engine(error)),
+            },
+        )?;
+        app.metrics.worked(outcome.estimate, outcome.took);
         about.complete(&outcome, format, &origin);
         encode(sink, format, &outcome.positions, &outcome.attributes, &origin).map_err(
             |error| match error {

@@ -10,6 +10,7 @@ use metrics_exporter_prometheus::{BuildError, PrometheusBuilder, PrometheusHandl
 use metrics_process::Collector;
 
 use super::config::ModelInfo;
+use crate::engine::Engine;
 use crate::jobs::State;
 
 /// The figures of one server. All names, in one place.
@@ -21,7 +22,12 @@ pub(super) struct Metrics {
     points_out: Counter,
     in_flight: Gauge,
     queue_points: Gauge,
+    backlog: Gauge,
+    memory: Gauge,
     held_bytes: Gauge,
+    admitted: Counter,
+    estimated: Histogram,
+    worked: Histogram,
     /// What every process tells, under the names that every one tells it.
     process: Collector,
 }
@@ -33,9 +39,19 @@ const POINTS_IN: &str = "densecloud_points_in_total";
 const POINTS_OUT: &str = "densecloud_points_out_total";
 const IN_FLIGHT: &str = "densecloud_requests_in_flight";
 const QUEUE: &str = "densecloud_queue_points";
+const BACKLOG: &str = "densecloud_backlog_seconds";
+const MEMORY: &str = "densecloud_work_memory_bytes";
+const ADMITTED: &str = "densecloud_admitted_total";
+const REFUSED: &str = "densecloud_refused_total";
+const ESTIMATED: &str = "densecloud_work_estimated_seconds";
+const WORKED: &str = "densecloud_work_seconds";
 const HELD: &str = "densecloud_held_bytes";
 const JOBS: &str = "densecloud_jobs";
 const MODEL: &str = "densecloud_model_info";
+
+/// Why requests are mostly refused.
+const REASONS: [&str; 6] =
+    ["client-share", "queue-full", "too-late", "too-big-for-memory", "client-jobs", "jobs-full"];
 
 /// From a small cloud's milliseconds to a large one's ten minutes.
 const BUCKETS: [f64; 14] =
@@ -73,18 +89,24 @@ impl Metrics {
             (REQUESTS, None, "Requests answered, by interface and outcome; cancelled: the client left"),
             (POINTS_IN, None, "Points read from the clouds of answered requests"),
             (POINTS_OUT, None, "Points in the results of answered requests"),
+            (ADMITTED, None, "Requests for which points of the queue were taken"),
+            (REFUSED, None, "Requests for which none were, by the end of the problem's type"),
         ] {
             recorder.describe_counter(name.into(), unit, text.into());
         }
         for (name, unit, text) in [
             (DURATION, Unit::Seconds, "From a request's head to the last byte of its response"),
+            (ESTIMATED, Unit::Seconds, "What finished work was expected to take, alone on the machine"),
+            (WORKED, Unit::Seconds, "What it took, without the time that other work had"),
             (STAGE, Unit::Seconds, "Work on one request, by stage; upload includes waiting for the client"),
         ] {
             recorder.describe_histogram(name.into(), Some(unit), text.into());
         }
         for (name, unit, text) in [
             (IN_FLIGHT, None, "Requests whose response is not over"),
-            (QUEUE, None, "Points queued or being worked on"),
+            (QUEUE, None, "Points reserved, queued or being worked on"),
+            (BACKLOG, Some(Unit::Seconds), "How long all that is admitted will take"),
+            (MEMORY, Some(Unit::Bytes), "Memory that the work at hand takes, as estimated"),
             (HELD, Some(Unit::Bytes), "Uploads not yet parsed and results not yet sent"),
             (JOBS, None, "Jobs that are kept, by state"),
             (MODEL, None, "The model that answers; always 1"),
@@ -100,10 +122,18 @@ impl Metrics {
             points_out: recorder.register_counter(&Key::from_static_name(POINTS_OUT), &METADATA),
             in_flight: recorder.register_gauge(&Key::from_static_name(IN_FLIGHT), &METADATA),
             queue_points: recorder.register_gauge(&Key::from_static_name(QUEUE), &METADATA),
+            backlog: recorder.register_gauge(&Key::from_static_name(BACKLOG), &METADATA),
+            memory: recorder.register_gauge(&Key::from_static_name(MEMORY), &METADATA),
+            admitted: recorder.register_counter(&Key::from_static_name(ADMITTED), &METADATA),
+            estimated: recorder.register_histogram(&Key::from_static_name(ESTIMATED), &METADATA),
+            worked: recorder.register_histogram(&Key::from_static_name(WORKED), &METADATA),
             held_bytes: recorder.register_gauge(&Key::from_static_name(HELD), &METADATA),
             process: Collector::default(),
             recorder,
         };
+        for reason in REASONS {
+            metrics.refusals(reason).increment(0);
+        }
         for interface in Interface::ALL {
             metrics.requests(interface, "ok").increment(0);
         }
@@ -142,9 +172,32 @@ impl Metrics {
         self.points_out.increment(points_out);
     }
 
-    /// The page, with what the engine's queue and the requests hold at the moment.
-    pub(super) fn render(&self, queue_points: u64, held_bytes: u64) -> String {
-        self.queue_points.set(queue_points as f64);
+    /// Points of the queue were taken for a request.
+    pub(super) fn admitted(&self) {
+        self.admitted.increment(1);
+    }
+
+    /// None were, because of a problem of this name.
+    pub(super) fn refused(&self, reason: &'static str) {
+        self.refusals(reason).increment(1);
+    }
+
+    fn refusals(&self, reason: &'static str) -> Counter {
+        let key = Key::from_parts(REFUSED, vec![Label::from_static_parts("reason", reason)]);
+        self.recorder.register_counter(&key, &METADATA)
+    }
+
+    /// Work is done that was estimated to take so long, and took so long.
+    pub(super) fn worked(&self, estimate: Duration, took: Duration) {
+        self.estimated.record(estimate);
+        self.worked.record(took);
+    }
+
+    /// The page, with what the engine and the requests hold at the moment.
+    pub(super) fn render(&self, engine: &Engine, held_bytes: u64) -> String {
+        self.queue_points.set(engine.queued_points() as f64);
+        self.backlog.set(engine.backlog().as_secs_f64());
+        self.memory.set(engine.memory() as f64);
         self.held_bytes.set(held_bytes as f64);
         metrics::with_local_recorder(&self.recorder, || self.process.collect());
         self.handle.render()
@@ -179,7 +232,12 @@ impl std::fmt::Debug for Metrics {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::backend::ModelName;
+    use crate::backend::{Fake, ModelName};
+    use crate::engine::EngineConfig;
+
+    fn idle() -> Engine {
+        Engine::with_backend(std::sync::Arc::new(Fake::new()), EngineConfig::default()).expect("an engine")
+    }
 
     #[test]
     fn the_page_has_every_series_from_the_start_and_counts_what_happens() {
@@ -188,7 +246,7 @@ mod tests {
             provider: "cpu".into(),
         };
         let metrics = Metrics::new(&model).expect("metrics");
-        let page = metrics.render(0, 0);
+        let page = metrics.render(&idle(), 0);
         for line in [
             "densecloud_requests_total{interface=\"http\",outcome=\"ok\"} 0",
             "densecloud_requests_total{interface=\"grpc\",outcome=\"ok\"} 0",
@@ -207,7 +265,10 @@ mod tests {
         metrics.ended(Interface::Grpc, "ok", Duration::from_millis(20));
         metrics.stage("units", Duration::from_secs(2));
         metrics.points(10, 40);
-        let page = metrics.render(7, 99);
+        metrics.admitted();
+        metrics.refused("queue-full");
+        metrics.worked(Duration::from_millis(1), Duration::from_millis(2));
+        let page = metrics.render(&idle(), 99);
         for line in [
             "densecloud_requests_total{interface=\"http\",outcome=\"ok\"} 1",
             "densecloud_requests_total{interface=\"grpc\",outcome=\"ok\"} 1",
@@ -217,7 +278,9 @@ mod tests {
             "densecloud_requests_in_flight 1",
             "densecloud_points_in_total 10",
             "densecloud_points_out_total 40",
-            "densecloud_queue_points 7",
+            "densecloud_refused_total{reason=\"queue-full\"} 1",
+            "densecloud_admitted_total 1",
+            "densecloud_work_seconds_sum 0.002",
             "densecloud_held_bytes 99",
         ] {
             assert!(page.lines().any(|l| l == line), "{line} is missing in\n{page}");
@@ -231,13 +294,15 @@ mod tests {
         metrics.ended(Interface::Http, "ok", Duration::ZERO);
         metrics.stage("units", Duration::ZERO);
         metrics.jobs(&[(State::Queued, 1)]);
-        let page = metrics.render(0, 0);
+        metrics.refused("queue-full");
+        metrics.worked(Duration::ZERO, Duration::ZERO);
+        let page = metrics.render(&idle(), 0);
         let names: Vec<_> = page
             .lines()
             .filter(|line| line.contains(" densecloud_"))
             .filter_map(|line| line.strip_prefix("# TYPE ")?.split(' ').next())
             .collect();
-        assert_eq!(names.len(), 10, "{names:?}");
+        assert_eq!(names.len(), 16, "{names:?}");
         for name in names {
             assert!(manual.contains(&format!("`{name}`")), "{name} is not in the manual");
         }
@@ -248,7 +313,7 @@ mod tests {
         let one = Metrics::new(&ModelInfo::default()).expect("metrics");
         let other = Metrics::new(&ModelInfo::default()).expect("metrics");
         one.points(1, 2);
-        assert!(one.render(0, 0).contains("densecloud_points_in_total 1"));
-        assert!(other.render(0, 0).contains("densecloud_points_in_total 0"));
+        assert!(one.render(&idle(), 0).contains("densecloud_points_in_total 1"));
+        assert!(other.render(&idle(), 0).contains("densecloud_points_in_total 0"));
     }
 }

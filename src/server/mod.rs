@@ -16,6 +16,8 @@
 //! | `query`, `form`, `upload`, `decode`, `download` | its parts: parameters, forms, the body in, what compresses it, the body out |
 //! | `problem` | every failure, its status and its words: the one table |
 //! | `openapi` | the interface described, for programs and for people |
+//! | `client`, `keys` | who asks |
+//! | `ticket`, `deadline` | what a request has been promised: points, and until when |
 //! | `cors` | pages from other sites |
 //! | `config`, `budget`, `readiness`, `metrics`, `request_id` | one noun each |
 //!
@@ -28,9 +30,11 @@ mod accepted;
 mod activity;
 mod app;
 mod budget;
+mod client;
 mod compress;
 mod config;
 mod cors;
+mod deadline;
 mod decode;
 mod download;
 mod form;
@@ -41,6 +45,7 @@ mod jobs_document;
 mod jobs_events;
 mod jobs_result;
 mod jobs_work;
+mod keys;
 mod metrics;
 mod openapi;
 mod problem;
@@ -48,6 +53,7 @@ mod query;
 mod readiness;
 mod record;
 mod request_id;
+mod ticket;
 mod upload;
 mod upsample;
 
@@ -60,8 +66,10 @@ use tokio::sync::watch;
 use tokio::task::{JoinSet, spawn_blocking};
 use tokio::time::{Instant, interval, sleep, timeout_at};
 
+pub use client::Access;
 pub use config::{Config, ConfigError, Limits, ModelInfo, Timeouts};
 pub use cors::CorsOrigin;
+pub use keys::{Keys, KeysError};
 
 use crate::engine::{Engine, EngineError};
 use crate::jobs::{Jobs, StoreError};

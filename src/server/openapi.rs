@@ -31,9 +31,9 @@ mod tests {
 
     use serde_json::{Map, Value};
 
-    use super::super::inference;
     use super::super::problem::every_problem;
     use super::super::query;
+    use super::super::{deadline, inference};
     use super::*;
     use crate::formats::Format;
 
@@ -78,6 +78,8 @@ mod tests {
         let upsample = &description["paths"]["/upsample"]["post"];
         let parameters = upsample["parameters"].as_array().expect("a list");
         let names: Vec<_> = parameters.iter().map(|p| p["name"].as_str().expect("a name")).collect();
+        let (header, names) = names.split_last().expect("parameters");
+        assert_eq!(header.to_ascii_lowercase(), deadline::HEADER);
         assert_eq!(names, query::NAMES);
         assert_eq!(keys(&upsample["responses"]["200"]["content"]), Format::MEDIA_TYPES.into());
         let form = keys(&description["components"]["schemas"]["Form"]["properties"]);

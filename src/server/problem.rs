@@ -118,6 +118,79 @@ pub(super) enum Problem {
     /// About to stop.
     #[error("the server is stopping and takes no more work")]
     Draining,
+    /// Keys are needed, and none came, or one that is not known.
+    #[error("{0}; send one that the server's --keys has, as Authorization: Bearer KEY")]
+    Unauthorized(&'static str),
+    /// The client's share of the engine's queue is used.
+    #[error(
+        "{used} points of yours are queued or being worked on, and this request would add {wanted}, above \
+         your share of {limit}; --client-points lifts this limit"
+    )]
+    ClientShare {
+        /// Points in this request's result.
+        wanted: u64,
+        /// Points in the results of all requests of the client before it.
+        used: u64,
+        /// The most there may be.
+        limit: u64,
+        /// From the client's own backlog.
+        retry_after: Duration,
+    },
+    /// With what is queued, the deadline cannot be met.
+    #[error(
+        "with what is queued, this request would be done in about {:.1} s, and it has {:.1} s left; come back \
+         later, or give it longer with X-Request-Timeout, of which --request-timeout is the most",
+        needed.as_secs_f64(), left.as_secs_f64()
+    )]
+    Late {
+        /// When it would be done.
+        needed: Duration,
+        /// Time to its deadline.
+        left: Duration,
+        /// When that would do.
+        retry_after: Duration,
+    },
+    /// The work alone takes more memory than all work together may.
+    #[error(
+        "the work would take about {bytes} bytes of memory, more than {limit}; --max-memory lifts this limit, \
+         or ask for fewer points"
+    )]
+    TooBig {
+        /// The estimate.
+        bytes: u64,
+        /// The most it may take.
+        limit: u64,
+    },
+    /// The system gave no memory.
+    #[error(
+        "the system had no {0} bytes of memory left for this request; ask for fewer points, or come back later"
+    )]
+    OutOfMemory(
+        /// What was asked for.
+        u64,
+    ),
+    /// As many jobs wait as may.
+    #[error("{queued} jobs are queued or running, and {limit} may be; --max-jobs lifts this limit")]
+    JobsFull {
+        /// How many there are.
+        queued: u64,
+        /// How many there may be.
+        limit: u64,
+        /// From the backlog of jobs.
+        retry_after: Duration,
+    },
+    /// As many jobs of one client wait as may.
+    #[error(
+        "{queued} jobs of yours are queued or running, and {limit} may be; --client-jobs lifts this limit"
+    )]
+    ClientJobs {
+        /// How many there are.
+        queued: u64,
+        /// How many there may be.
+        limit: u64,
+        /// From the backlog of jobs.
+        retry_after: Duration,
+    },
     /// The engine's queue is full.
     #[error(
         "{queued} points are queued or being worked on, and this request would add {wanted}, above the \
@@ -146,12 +219,14 @@ pub(super) enum Problem {
     },
     /// The result was not complete in time.
     #[error(
-        "the result was not complete after {} s, upload and queueing included; --request-timeout lifts \
-         this limit", .limit.as_secs_f64()
+        "the result was not complete after {} s: {spent}; X-Request-Timeout sets this limit, of which \
+         --request-timeout is the most", .limit.as_secs_f64()
     )]
     Deadline {
-        /// How long a request may take.
+        /// How long the request might take.
         limit: Duration,
+        /// How long it took for what.
+        spent: String,
     },
     /// Nothing is kept here.
     #[error("this server keeps no jobs; --data-dir gives it a folder for them")]
@@ -239,6 +314,7 @@ impl From<CascadeError> for Problem {
             | CascadeError::MaxDisplacement(_)
             | CascadeError::MaxDistance(_)
             | CascadeError::Backend(_) => Self::Internal(error.to_string()),
+            CascadeError::OutOfMemory(bytes) => Self::OutOfMemory(bytes),
             // Nobody but a stopping engine cancels a request that is still waited for.
             CascadeError::Cancelled => Self::Draining,
         }
@@ -251,12 +327,25 @@ impl Problem {
         Self::Impossible(error.to_string())
     }
 
-    /// What the engine's refusal or failure is to a client; `retry_after` is its backlog.
-    pub(super) fn from_engine(error: EngineError, retry_after: Duration) -> Self {
+    /// What the engine's refusal or failure is to a client.
+    pub(super) fn from_engine(error: EngineError) -> Self {
         match error {
-            EngineError::Full { wanted, queued, limit } => {
+            EngineError::Full { wanted, queued, limit, retry_after } => {
                 Self::QueueFull { wanted, queued, limit, retry_after }
             }
+            EngineError::Share { wanted, used, limit, retry_after } => {
+                Self::ClientShare { wanted, used, limit, retry_after }
+            }
+            EngineError::TooBig { bytes, limit } => Self::TooBig { bytes, limit },
+            EngineError::Late { needed, left, retry_after } => Self::Late { needed, left, retry_after },
+            EngineError::Deadline { waited, worked } => Self::Deadline {
+                limit: waited + worked,
+                spent: format!(
+                    "{:.1} s in the queue, {:.1} s at work",
+                    waited.as_secs_f64(),
+                    worked.as_secs_f64()
+                ),
+            },
             EngineError::Cancelled => Self::Draining,
             EngineError::Cascade(error) => error.into(),
             EngineError::Internal(why) => Self::Internal(why),
@@ -276,7 +365,7 @@ struct Row {
 }
 
 /// How long a client should wait where the backlog says nothing.
-const SOON: Duration = Duration::from_secs(5);
+pub(super) const SOON: Duration = Duration::from_secs(5);
 
 impl Problem {
     pub(super) fn parameter(name: &str, why: String) -> Self {
@@ -344,6 +433,32 @@ impl Problem {
             Self::QueueFull { .. } => {
                 (S::SERVICE_UNAVAILABLE, "queue-full", "The queue is full", Some("--queue-points"))
             }
+            Self::Unauthorized(_) => (S::UNAUTHORIZED, "unauthorized", "A key is needed", Some("--keys")),
+            Self::ClientShare { .. } => (
+                S::TOO_MANY_REQUESTS,
+                "client-share",
+                "Your share of the queue is used",
+                Some("--client-points"),
+            ),
+            Self::Late { .. } => {
+                (S::SERVICE_UNAVAILABLE, "too-late", "Not to be done in time", Some("--request-timeout"))
+            }
+            Self::TooBig { .. } => (
+                S::INSUFFICIENT_STORAGE,
+                "too-big-for-memory",
+                "The work would take too much memory",
+                Some("--max-memory"),
+            ),
+            Self::OutOfMemory(_) => (S::INSUFFICIENT_STORAGE, "out-of-memory", "No memory is left", None),
+            Self::JobsFull { .. } => {
+                (S::SERVICE_UNAVAILABLE, "jobs-full", "As many jobs wait as may", Some("--max-jobs"))
+            }
+            Self::ClientJobs { .. } => (
+                S::TOO_MANY_REQUESTS,
+                "client-jobs",
+                "As many of your jobs wait as may",
+                Some("--client-jobs"),
+            ),
             Self::HeldFull { .. } => {
                 (S::SERVICE_UNAVAILABLE, "memory-full", "The memory is in use", Some("--max-held-bytes"))
             }
@@ -389,17 +504,25 @@ impl Problem {
             | Self::TooManyPointsOut { limit, .. }
             | Self::ResultTooLarge { limit, .. }
             | Self::QueueFull { limit, .. }
+            | Self::ClientShare { limit, .. }
+            | Self::TooBig { limit, .. }
+            | Self::JobsFull { limit, .. }
+            | Self::ClientJobs { limit, .. }
             | Self::JobDisk { limit, .. }
             | Self::HeldFull { limit, .. } => Some((*limit).into()),
             Self::GaveUp { attempts } => Some((*attempts).into()),
-            Self::UploadStalled { limit } | Self::Deadline { limit } => seconds(limit),
+            Self::UploadStalled { limit } | Self::Deadline { limit, .. } => seconds(limit),
             _ => None,
         }
     }
 
     fn retry_after(&self) -> Option<Duration> {
         match self {
-            Self::QueueFull { retry_after, .. } => Some(*retry_after),
+            Self::QueueFull { retry_after, .. }
+            | Self::ClientShare { retry_after, .. }
+            | Self::Late { retry_after, .. }
+            | Self::JobsFull { retry_after, .. }
+            | Self::ClientJobs { retry_after, .. } => Some(*retry_after),
             Self::WarmingUp | Self::Draining | Self::HeldFull { .. } | Self::JobsBusy => Some(SOON),
             _ => None,
         }
@@ -521,6 +644,11 @@ impl IntoResponse for Problem {
             let seconds = wait.as_secs() + u64::from(wait.subsec_nanos() > 0);
             headers.insert(header::RETRY_AFTER, seconds.max(1).into());
         }
+        if let Self::Unauthorized(_) = self {
+            // RFC 9110, section 15.5.2: says how to do it.
+            let how = HeaderValue::from_static("Bearer realm=\"densecloud\"");
+            headers.insert(header::WWW_AUTHENTICATE, how);
+        }
         if let Self::UnsupportedEncoding(_) = self {
             // RFC 9110, section 15.5.16: says what would have been accepted.
             headers.insert(header::ACCEPT_ENCODING, HeaderValue::from_static(Coding::ACCEPTED));
@@ -560,7 +688,14 @@ pub(super) fn every_problem() -> Vec<(Problem, u16, &'static str)> {
         (Problem::Draining, 503, "draining"),
         (Problem::QueueFull { wanted: 1, queued: 5, limit: 5, retry_after: second }, 503, "queue-full"),
         (Problem::HeldFull { used: 4, limit: 5 }, 503, "memory-full"),
-        (Problem::Deadline { limit: second }, 504, "deadline"),
+        (Problem::Deadline { limit: second, spent: "x".into() }, 504, "deadline"),
+        (Problem::Unauthorized("x"), 401, "unauthorized"),
+        (Problem::ClientShare { wanted: 1, used: 5, limit: 5, retry_after: second }, 429, "client-share"),
+        (Problem::Late { needed: second, left: second, retry_after: second }, 503, "too-late"),
+        (Problem::TooBig { bytes: 9, limit: 5 }, 507, "too-big-for-memory"),
+        (Problem::OutOfMemory(9), 507, "out-of-memory"),
+        (Problem::JobsFull { queued: 5, limit: 5, retry_after: second }, 503, "jobs-full"),
+        (Problem::ClientJobs { queued: 5, limit: 5, retry_after: second }, 429, "client-jobs"),
         (Problem::JobsOff, 501, "jobs-off"),
         (Problem::NoJob("x".into()), 404, "no-such-job"),
         (Problem::JobNotDone { state: "queued" }, 409, "job-not-done"),
@@ -598,7 +733,8 @@ mod tests {
             let response = problem.into_response();
             assert_eq!(response.status().as_u16(), status);
             assert_eq!(response.headers()["content-type"], "application/problem+json");
-            assert_eq!(response.headers().contains_key("retry-after"), status == 503);
+            assert_eq!(response.headers().contains_key("retry-after"), matches!(status, 429 | 503));
+            assert_eq!(response.headers().contains_key("www-authenticate"), status == 401);
         }
     }
 
@@ -624,7 +760,7 @@ mod tests {
             assert_eq!(info.reason.to_lowercase().replace('_', "-"), name);
             assert_eq!(info.metadata.get("setting").map(String::as_str), problem.row().setting);
             assert_eq!(details.request_info().expect("info").request_id, "id-1");
-            assert_eq!(details.retry_info().is_some(), status == 503, "{name}");
+            assert_eq!(details.retry_info().is_some(), matches!(status, 429 | 503), "{name}");
             assert!(!grpc.message().contains("secret"));
         }
         let manual = include_str!("../../docs/grpc.md");
@@ -698,14 +834,15 @@ mod tests {
             (CascadeError::TooManyDuplicates { distinct: 1, total: 99 }, "impossible-cloud"),
             (CascadeError::Frame(FrameError::Degenerate), "impossible-cloud"),
             (CascadeError::Backend(run), "internal"),
+            (CascadeError::OutOfMemory(9), "out-of-memory"),
             (CascadeError::Cancelled, "draining"),
         ] {
             let text = error.to_string();
-            assert_eq!(name(Problem::from_engine(EngineError::Cascade(error), SOON)), expected, "{text}");
+            assert_eq!(name(Problem::from_engine(EngineError::Cascade(error))), expected, "{text}");
         }
-        let full = EngineError::Full { wanted: 1, queued: 5, limit: 5 };
-        assert_eq!(Problem::from_engine(full, SOON).retry_after(), Some(SOON));
-        assert_eq!(name(Problem::from_engine(EngineError::Internal("x".into()), SOON)), "internal");
+        let full = EngineError::Full { wanted: 1, queued: 5, limit: 5, retry_after: SOON };
+        assert_eq!(Problem::from_engine(full).retry_after(), Some(SOON));
+        assert_eq!(name(Problem::from_engine(EngineError::Internal("x".into()))), "internal");
     }
 
     #[test]

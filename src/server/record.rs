@@ -80,7 +80,7 @@ pub(super) async fn record(State(app): State<Arc<App>>, mut request: Request, ne
     let peer = connection.as_ref().map(|c| c.peer);
     let span = tracing::info_span!(
         "request", id = id.as_str(), peer = peer.map(tracing::field::display),
-        method = %request.method(), path = request.uri().path(),
+        client = tracing::field::Empty, method = %request.method(), path = request.uri().path(),
     );
     let busy = connection.map(|connection| connection.activity.begin());
     let ongoing = Ongoing::default();

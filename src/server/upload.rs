@@ -11,7 +11,6 @@ use super::app::App;
 use super::budget::Held;
 use super::decode::{Coding, Decoder, Refusal};
 use super::problem::Problem;
-use super::query::Parameters;
 use crate::cloud::Cloud;
 use crate::formats::{CloudReader, Format, FormatError, Limits};
 
@@ -45,19 +44,20 @@ impl Upload {
         Self { body, waits: headers.contains_key(header::EXPECT) }
     }
 
-    /// Reads the body to its end. Memory grows with what arrives, not with what is claimed.
+    /// Reads the body to its end. Memory grows with what arrives, not with what is claimed. `known` hears
+    /// the points in as soon as the file's header tells them, where it does.
     ///
     /// # Errors
-    /// The body is compressed in an unknown way, too large, stalls or breaks off; its header claims too much, for the
-    /// input or for the result; or its beginning is in no known format. All but the end of the body
+    /// The body is compressed in an unknown way, too large, stalls or breaks off; its header claims too much; `known`
+    /// refuses; or its beginning is in no known format. All but the end of the body
     /// are noticed while it arrives.
     pub(super) async fn receive(
         &mut self,
         headers: &HeaderMap,
         app: &App,
-        parameters: &Parameters,
+        known: impl FnMut(u64) -> Result<(), Problem>,
     ) -> Result<Received, Problem> {
-        let mut check = HeaderCheck::new(app, Some(parameters));
+        let mut check = HeaderCheck::new(app, known);
         let judge = |bytes: &[u8], new| check.judge(bytes, new);
         self.receive_judged(headers, app, judge).await
     }
@@ -142,6 +142,8 @@ impl Upload {
 pub(super) struct Arrival<'a> {
     app: &'a App,
     decoder: Decoder,
+    /// Bytes as they came.
+    sent: u64,
     start: Instant,
 }
 
@@ -150,7 +152,8 @@ impl<'a> Arrival<'a> {
     pub(super) fn begin(coding: Coding, app: &'a App) -> Result<Self, Problem> {
         let held = app.budget.hold(0).ok_or_else(|| app.held_full())?;
         let decoder = Decoder::new(coding, held, app.config.limits.body_bytes);
-        Ok(Self { app, decoder: decoder.map_err(|refusal| refused(app, refusal))?, start: Instant::now() })
+        let decoder = decoder.map_err(|refusal| refused(app, refusal))?;
+        Ok(Self { app, decoder, sent: 0, start: Instant::now() })
     }
 
     /// Takes a piece, and shows `judge` all that has arrived, and how much of it is new.
@@ -159,11 +162,16 @@ impl<'a> Arrival<'a> {
         piece: Bytes,
         mut judge: impl FnMut(&[u8], usize) -> Result<(), Problem>,
     ) -> Result<Self, Problem> {
-        let Self { app, decoder, start } = self;
+        let Self { app, decoder, mut sent, start } = self;
+        // Compressed, endlessly much may stand for nothing.
+        sent += piece.len() as u64;
+        if sent > app.config.limits.body_bytes {
+            return Err(refused(app, Refusal::TooLarge));
+        }
         let before = decoder.bytes().len();
         let decoder = decoder.add(piece).await.map_err(|refusal| refused(app, refusal))?;
         judge(decoder.bytes(), decoder.bytes().len() - before)?;
-        Ok(Self { app, decoder, start })
+        Ok(Self { app, decoder, sent, start })
     }
 
     pub(super) fn finish(self) -> Result<Received, Problem> {
@@ -228,16 +236,16 @@ fn header_is_there(bytes: &[u8], new: usize) -> bool {
 }
 
 /// Refuses from the first bytes of a file what could only be refused later.
-pub(super) struct HeaderCheck<'a> {
+pub(super) struct HeaderCheck<'a, F> {
     app: &'a App,
-    /// None where they are yet to come.
-    parameters: Option<&'a Parameters>,
+    /// Hears the points in.
+    known: F,
     done: bool,
 }
 
-impl<'a> HeaderCheck<'a> {
-    pub(super) fn new(app: &'a App, parameters: Option<&'a Parameters>) -> Self {
-        Self { app, parameters, done: false }
+impl<'a, F: FnMut(u64) -> Result<(), Problem>> HeaderCheck<'a, F> {
+    pub(super) fn new(app: &'a App, known: F) -> Self {
+        Self { app, known, done: false }
     }
 
     /// To be shown all that has arrived, of which `new` bytes are new.
@@ -247,10 +255,7 @@ impl<'a> HeaderCheck<'a> {
         }
         self.done = true;
         match CloudReader::open(bytes, reader_limits(self.app)) {
-            Ok(reader) => reader.header().points.map_or(Ok(()), |points| {
-                let made = self.parameters.map_or(0, |parameters| parameters.points_out(points));
-                self.app.check_points(points, made)
-            }),
+            Ok(reader) => reader.header().points.map_or(Ok(()), &mut self.known),
             // Text is cut off somewhere here, so only the whole of it can be judged.
             Err(FormatError::Malformed { .. } | FormatError::Truncated { .. } | FormatError::Empty(_))
                 if !is_ply(bytes) =>

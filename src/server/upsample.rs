@@ -11,7 +11,6 @@ use axum::http::{HeaderMap, HeaderValue, Uri, header};
 use axum::response::{IntoResponse, Response};
 use serde::{Deserialize, Serialize};
 use tokio::task::spawn_blocking;
-use tokio::time::timeout;
 
 use super::accepted::accepted;
 use super::app::App;
@@ -22,10 +21,11 @@ use super::form::Asking;
 use super::problem::Problem;
 use super::query::{self, Parameters};
 use super::record::Points;
+use super::ticket::Ticket;
 use super::upload::{Received, Upload};
 use crate::cascade::Settings;
 use crate::cloud::{Cloud, Origin, Table, bytes_a_point};
-use crate::engine::{Job, Outcome, Request};
+use crate::engine::{Client, EngineError, Job, Outcome, Request};
 use crate::formats::Format;
 use crate::provenance;
 use crate::survey::{self, Survey};
@@ -34,30 +34,38 @@ use crate::survey::{self, Survey};
 /// stops the work.
 pub(super) async fn upsample(
     State(app): State<Arc<App>>,
+    Extension(client): Extension<Client>,
     uri: Uri,
     headers: HeaderMap,
     body: Body,
 ) -> Result<Response, Problem> {
     let mut upload = Upload::new(&headers, body);
-    let limit = app.config.timeouts.request;
-    let answer = timeout(limit, answer(&app, &uri, &headers, &mut upload)).await;
-    let answer = answer.unwrap_or(Err(Problem::Deadline { limit }));
+    let answer = match Ticket::new(&app, client, &headers) {
+        Ok(ticket) => {
+            let deadline = ticket.deadline.clone();
+            deadline.run(answer(&app, ticket, &uri, &headers, &mut upload)).await
+        }
+        Err(problem) => Err(problem),
+    };
     upload.give_up();
     answer
 }
 
 async fn answer(
     app: &Arc<App>,
+    mut ticket: Ticket,
     uri: &Uri,
     headers: &HeaderMap,
     upload: &mut Upload,
 ) -> Result<Response, Problem> {
-    app.readiness.check()?;
     let wanted = accepted(headers)?;
-    let Asking { parameters, received, .. } = Asking::receive(upload, uri, headers, app).await?;
+    ticket.check()?;
+    ticket.deadline.enter("of upload");
+    let known = |points_in, points_out| ticket.reserve(points_in, points_out);
+    let Asking { parameters, received, .. } = Asking::receive(upload, uri, headers, app, known).await?;
     let took = received.took;
     let read = move |app: &App| Ok((Order::read(app, &received, parameters, wanted)?, ()));
-    let (done, ()) = run(app, took, read, |_| {}).await?;
+    let (done, ()) = run(app, ticket, took, read, |_| {}).await?;
     let points = done.points();
     let length = done.format.encoded_len(points.made, &done.dense.attributes, &done.dense.origin);
     let mut headers = done.headers();
@@ -119,10 +127,11 @@ impl Done {
     }
 }
 
-/// Upsamples what `read` makes of a body that took `upload` to arrive; `read` runs on a blocking thread,
-/// and what else it gives comes back with the result. `begun` is shown the job when the engine has taken it.
+/// Upsamples what `read` makes of a body that took `upload` to arrive, for the holder of a ticket; `read` runs on a
+/// blocking thread, and what else it gives comes back with the result. `begun` is shown the job when the engine has taken it.
 pub(super) async fn run<T: Send + 'static>(
     app: &Arc<App>,
+    ticket: Ticket,
     upload: Duration,
     read: impl FnOnce(&App) -> Result<(Order, T), Problem> + Send + 'static,
     begun: impl FnOnce(&Job),
@@ -130,11 +139,13 @@ pub(super) async fn run<T: Send + 'static>(
     let mut timing = Timing::default();
     timing.add(app, "upload", upload);
     let start = Instant::now();
+    let deadline = ticket.deadline.clone();
+    deadline.enter("of parsing");
     let submit = {
         let app = Arc::clone(app);
         spawn_blocking(move || {
             let (order, rest) = read(&app)?;
-            Ok::<_, Problem>((submit(&app, order)?, rest))
+            Ok::<_, Problem>((submit(&app, ticket, order)?, rest))
         })
     };
     let (submitted, rest) = submit.await.map_err(|error| Problem::Internal(error.to_string()))??;
@@ -142,7 +153,12 @@ pub(super) async fn run<T: Send + 'static>(
     let start = Instant::now();
     let Submitted { job, held, format, origin, mut about } = submitted;
     begun(&job);
-    let outcome = job.await.map_err(|error| Problem::from_engine(error, app.engine.retry_after()))?;
+    let outcome = job.await.map_err(|error| match error {
+        // It knows of the upload, too.
+        EngineError::Deadline { .. } => deadline.over(),
+        error => Problem::from_engine(error),
+    })?;
+    app.metrics.worked(outcome.estimate, outcome.took);
     about.complete(&outcome, format, &origin);
     timing.add(app, "queue", start.elapsed().saturating_sub(outcome.stages.total()));
     for (stage, took) in outcome.stages.iter() {
@@ -210,11 +226,10 @@ pub(super) struct Prepared {
 }
 
 /// Blocking work: checks and queues the cloud.
-fn submit(app: &App, order: Order) -> Result<Submitted, Problem> {
+fn submit(app: &App, ticket: Ticket, order: Order) -> Result<Submitted, Problem> {
     let Prepared { request, room, format, origin, about } = prepare(app, order)?;
     let held = app.budget.hold(room).ok_or_else(|| app.held_full())?;
-    let job =
-        app.engine.submit(request).map_err(|error| Problem::from_engine(error, app.engine.retry_after()))?;
+    let job = ticket.submit(request)?;
     Ok(Submitted { job, held, format, origin, about })
 }
 

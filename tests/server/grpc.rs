@@ -559,7 +559,8 @@ async fn raw(
 #[tokio::test(flavor = "multi_thread")]
 async fn a_full_server_says_when_to_come_back() {
     let backend = Scripted::new();
-    let sizes = EngineConfig { threads: 1, queue_points: 1000, ..EngineConfig::default() };
+    let sizes =
+        EngineConfig { threads: 1, queue_points: 1000, client_points: 1000, ..EngineConfig::default() };
     let server = Server::start_cold(&backend, sizes, Config::default());
     server.wait_for_ready();
     backend.shut();

@@ -343,7 +343,7 @@ fn a_full_queue_and_a_deadline_are_told_as_elsewhere() {
     let backend = Scripted::new();
     let mut config = Config::default();
     config.timeouts.request = Duration::from_millis(800);
-    let sizes = EngineConfig { threads: 2, queue_points: 300, ..Default::default() };
+    let sizes = EngineConfig { threads: 2, queue_points: 300, client_points: 300, ..Default::default() };
     let server = Server::start_cold(&backend, sizes, config);
     server.wait_for_ready();
     backend.shut();

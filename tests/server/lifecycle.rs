@@ -135,8 +135,9 @@ fn every_request_that_was_accepted_is_answered_whole_however_old_it_is() {
         client.send(head.as_bytes());
         client.send(&small[..small.len() / 2]);
     }
+    // Points of uploads are reserved with their headers.
     wait_until("all are accepted", || {
-        server.engine.queued_points() == 5 * 1200 && server.metric("densecloud_requests_in_flight") == 9.0
+        server.engine.queued_points() == 7 * 1200 && server.metric("densecloud_requests_in_flight") == 9.0
     });
     server.stop();
     wait_until("readiness flips", || server.get("/readyz").status == 503);

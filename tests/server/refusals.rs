@@ -140,7 +140,7 @@ fn a_client_that_sends_on_still_finds_the_refusal() {
 #[test]
 fn a_full_queue_says_when_to_come_back_and_takes_work_again() {
     let backend = Scripted::new();
-    let sizes = EngineConfig { threads: 2, queue_points: 500, ..Default::default() };
+    let sizes = EngineConfig { threads: 2, queue_points: 500, client_points: 500, ..Default::default() };
     let server = Server::start_cold(&backend, sizes, Config::default());
     server.wait_for_ready();
     backend.shut();
@@ -228,6 +228,20 @@ fn a_compressed_body_is_read_and_a_bomb_is_refused_while_it_comes() {
         let bomb = compress(&vec![b'\n'; 1 << 20]);
         let bomb = ask(coding, &bomb[..bomb.len().min(900)], 9);
         assert_eq!((bomb.status, bomb.problem_name().as_str()), (413, "body-too-large"), "{coding}");
+        // Nothing, again and again.
+        let nothing = compress(b"").repeat(if coding == "gzip" { 2000 } else { 1 });
+        if nothing.len() > 20_000 {
+            let mut client = server.connect();
+            client.send(
+                format!("POST /upsample?ratio=2 HTTP/1.1\r\nhost: x\r\ncontent-encoding: {coding}\r\ntransfer-encoding: chunked\r\n\r\n")
+                    .as_bytes(),
+            );
+            client.try_send(format!("{:x}\r\n", nothing.len()).as_bytes());
+            client.try_send(&nothing);
+            client.try_send(b"\r\n");
+            let reply = client.reply();
+            assert_eq!((reply.status, reply.problem_name().as_str()), (413, "body-too-large"), "{coding}");
+        }
         let many = ask(coding, &compress(&encode(&cloud(1001), PLY)), 9);
         assert_eq!((many.status, many.problem_name().as_str()), (413, "too-many-points-in"), "{coding}");
         let broken = ask(coding, b"1 2 3\n", 0);

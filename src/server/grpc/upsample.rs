@@ -14,13 +14,15 @@ use tonic::{Request, Response, Status, Streaming};
 use super::outgoing::{self, Messages};
 use super::start::Start;
 use super::{MESSAGE, incoming};
-use crate::engine::ProgressHandle;
+use crate::engine::{Client, ProgressHandle};
 use crate::proto::upsampler_server::Upsampler;
 use crate::proto::{UpsampleRequest, UpsampleResponse};
 use crate::server::app::App;
+use crate::server::deadline::Deadline;
 use crate::server::problem::Problem;
 use crate::server::record::{Early, Ongoing};
 use crate::server::request_id::RequestId;
+use crate::server::ticket::Ticket;
 use crate::server::upload::Upload;
 use crate::server::upsample::{self, Order};
 
@@ -62,6 +64,7 @@ impl Upsampler for Calls {
             app: Arc::clone(&self.app),
             headers: metadata.into_headers(),
             ongoing: extensions.remove().unwrap_or_default(),
+            client: extensions.remove().unwrap_or_default(),
         };
         let id = extensions.remove().unwrap_or_else(|| RequestId::of(&HeaderMap::new()));
         let (items, received) = mpsc::channel(WAITING);
@@ -93,15 +96,17 @@ struct Call {
     app: Arc<App>,
     headers: HeaderMap,
     ongoing: Ongoing,
+    client: Client,
 }
 
 type Items = mpsc::Sender<Result<Item, Status>>;
 
 impl Call {
     async fn run(self, messages: Streaming<UpsampleRequest>, items: Items, id: RequestId) {
-        let limit = self.limit();
-        let answer = timeout(limit, self.answer(messages, &items)).await;
-        let answer = answer.unwrap_or(Err(Problem::Deadline { limit }));
+        // The client's deadline, where it is sooner than the server's.
+        let deadline = Deadline::new(deadline(&self.headers), self.app.config.timeouts.request);
+        let ticket = Ticket::until(&self.app, self.client.clone(), deadline.clone());
+        let answer = deadline.run(self.answer(ticket, messages, &items)).await;
         self.ongoing.sending();
         let ended = match answer {
             Ok(mut result) => loop {
@@ -130,20 +135,16 @@ impl Call {
         matches!(timeout(self.app.config.timeouts.stall, items.send(item)).await, Ok(Ok(())))
     }
 
-    /// How long the result may take: the client's deadline, where it is sooner than the server's.
-    fn limit(&self) -> Duration {
-        let limit = self.app.config.timeouts.request;
-        deadline(&self.headers).map_or(limit, |wanted| wanted.min(limit))
-    }
-
     /// From the first message to the result.
     async fn answer(
         &self,
+        mut ticket: Ticket,
         mut messages: Streaming<UpsampleRequest>,
         items: &Items,
     ) -> Result<Messages, Problem> {
         let app = &self.app;
-        app.readiness.check()?;
+        ticket.check()?;
+        ticket.deadline.enter("of upload");
         let stall = app.config.timeouts.stall;
         // For a message that is only half there; never so much that the largest cloud has no room beside it.
         let limits = &app.config.limits;
@@ -152,15 +153,19 @@ impl Call {
         let start = timeout(stall, incoming::start(&mut messages)).await;
         let start = start.unwrap_or(Err(Problem::UploadStalled { limit: stall }))?;
         let Start { parameters, wanted, as_points, columns } = Start::read(start, app)?;
+        let mut known = |points| ticket.reserve(points, parameters.points_out(points));
+        if let Some(columns) = &columns {
+            known(columns.points)?;
+        }
         // Of the HTTP body's own headers, none mean anything here.
         let none = HeaderMap::new();
         let mut upload = Upload::new(&none, incoming::body(messages, columns));
-        let received = upload.receive(&none, app, &parameters).await?;
+        let received = upload.receive(&none, app, known).await?;
         drop(half);
         let took = received.took;
         let read = move |app: &App| Ok((Order::read(app, &received, parameters, wanted)?, ()));
         let (sender, begun) = oneshot::channel();
-        let work = upsample::run(app, took, read, |job| {
+        let work = upsample::run(app, ticket, took, read, |job| {
             // Nobody listens where the work is over.
             let _ = sender.send(job.progress_handle());
         });

@@ -17,14 +17,15 @@ use axum::http::{HeaderMap, HeaderName, Uri, header};
 use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post};
 use axum::{Extension, Json, Router};
-use tokio::time::timeout;
 
 use super::app::App;
 use super::problem::Problem;
 use super::query::Parameters;
+use super::ticket::Ticket;
 use super::upload::Upload;
 use super::upsample::{self, Order};
 use crate::cloud::Cloud;
+use crate::engine::Client;
 use crate::formats::{Format, Scalar};
 use request::{Request, read, split};
 
@@ -94,28 +95,36 @@ async fn model_ready(State(app): State<Arc<App>>, named: Named) -> Result<impl I
 /// As [`upsample::upsample`], of which it is the other door.
 async fn infer(
     State(app): State<Arc<App>>,
+    Extension(client): Extension<Client>,
     named: Named,
     uri: Uri,
     headers: HeaderMap,
     body: Body,
 ) -> Result<Response, Problem> {
     let mut upload = Upload::new(&headers, body);
-    let limit = app.config.timeouts.request;
     let answer = async {
         check_model(&named)?;
         if uri.query().is_some_and(|query| !query.is_empty()) {
             let why = "not read here; put them among the request's \"parameters\"".to_owned();
             return Err(Problem::parameter("query", why));
         }
-        answer(&app, &headers, &mut upload).await
-    };
-    let answer = timeout(limit, answer).await.unwrap_or(Err(Problem::Deadline { limit }));
+        let ticket = Ticket::new(&app, client, &headers)?;
+        let deadline = ticket.deadline.clone();
+        deadline.run(answer(&app, ticket, &headers, &mut upload)).await
+    }
+    .await;
     upload.give_up();
     answer
 }
 
-async fn answer(app: &Arc<App>, headers: &HeaderMap, upload: &mut Upload) -> Result<Response, Problem> {
-    app.readiness.check()?;
+async fn answer(
+    app: &Arc<App>,
+    mut ticket: Ticket,
+    headers: &HeaderMap,
+    upload: &mut Upload,
+) -> Result<Response, Problem> {
+    ticket.check()?;
+    ticket.deadline.enter("of upload");
     let header = header_length(headers)?;
     let length = upload.length(headers);
     let mut expected = None;
@@ -123,7 +132,7 @@ async fn answer(app: &Arc<App>, headers: &HeaderMap, upload: &mut Upload) -> Res
         Some(header) if header <= bytes.len().min(JUDGED) => {
             let total = match expected {
                 Some(total) => total,
-                None => judge(app, &bytes[..header])?,
+                None => judge(&mut ticket, &bytes[..header])?,
             };
             expected = Some(total);
             check_length(total, length.unwrap_or(total.max(bytes.len() as u64)))
@@ -142,7 +151,7 @@ async fn answer(app: &Arc<App>, headers: &HeaderMap, upload: &mut Upload) -> Res
         // To the rest, a tensor is a NumPy array.
         Ok((Order { cloud, parameters, input, wanted: None }, reply))
     };
-    let (mut done, reply) = upsample::run(app, took, read, |_| {}).await?;
+    let (mut done, reply) = upsample::run(app, ticket, took, read, |_| {}).await?;
     if done.format != (Format::Npy { scalar: reply.datatype.scalar(), fields: false }) {
         let why = "FP32 is too coarse for these coordinates and this many points; send FP64";
         done.about.warnings.push(why.into());
@@ -166,9 +175,9 @@ fn header_length(headers: &HeaderMap) -> Result<Option<usize>, Problem> {
 }
 
 /// Refuses from the JSON alone what could only be refused later; gives the bytes that the whole body has.
-fn judge(app: &App, json: &[u8]) -> Result<u64, Problem> {
+fn judge(ticket: &mut Ticket, json: &[u8]) -> Result<u64, Problem> {
     let request = read(json)?;
-    check_points(app, &request)?;
+    ticket.reserve(request.points, request.parameters.points_out(request.points))?;
     Ok(json.len() as u64 + request.binary_bytes())
 }
 

@@ -1,0 +1,278 @@
+//! Who is let in, with how much, and until when.
+
+use std::os::unix::fs::PermissionsExt;
+use std::path::Path;
+use std::sync::Arc;
+
+use densecloud::backend::Fake;
+use densecloud::engine::EngineConfig;
+use densecloud::jobs;
+use densecloud::server::{Access, Config, Keys};
+
+use crate::support::{Client, PLY, Reply, Scripted, Server, cloud, encode, wait_until};
+
+const ALICE: &str = "authorization: Bearer alices-secret-key\r\n";
+const BOB: &str = "authorization: Bearer bobs-own-secret-key\r\n";
+
+impl Server {
+    fn begin(&self, method: &str, target: &str, headers: &str, body: &[u8]) -> Client {
+        let mut client = self.connect();
+        let length = body.len();
+        client.send(
+            format!(
+                "{method} {target} HTTP/1.1\r\nhost: x\r\nconnection: close\r\ncontent-length: {length}\r\n{headers}\r\n"
+            )
+            .as_bytes(),
+        );
+        client.send(body);
+        client
+    }
+
+    fn send(&self, method: &str, target: &str, headers: &str, body: &[u8]) -> Reply {
+        self.begin(method, target, headers, body).reply()
+    }
+}
+
+fn keys(folder: &Path) -> Access {
+    let path = folder.join("keys");
+    std::fs::write(&path, "# both\nalice alices-secret-key\nbob bobs-own-secret-key\n").unwrap();
+    std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o600)).unwrap();
+    Access { keys: Some(Arc::new(Keys::read(&path).unwrap())), ..Access::default() }
+}
+
+fn body() -> Vec<u8> {
+    encode(&cloud(100), PLY)
+}
+
+fn is_refused(reply: &Reply, status: u16, name: &str) {
+    assert_eq!((reply.status, reply.problem_name().as_str()), (status, name), "{}", reply.text());
+}
+
+fn retry_after(reply: &Reply) -> u64 {
+    reply.header("retry-after").and_then(|seconds| seconds.parse().ok()).expect("seconds")
+}
+
+#[test]
+fn with_keys_one_is_needed_but_for_what_is_open() {
+    let folder = tempfile::tempdir().unwrap();
+    let access = Access { open_metrics: false, ..keys(folder.path()) };
+    let server = Server::start(&Scripted::new(), Config { access, ..Config::default() });
+    for (headers, status) in [
+        ("", 401),
+        ("authorization: Bearer nobodys-secret-key\r\n", 401),
+        ("authorization: Basic YWxpY2U6eA==\r\n", 401),
+        (ALICE, 200),
+        ("x-api-key: bobs-own-secret-key\r\n", 200),
+    ] {
+        let reply = server.send("POST", "/upsample?ratio=2", headers, &body());
+        assert_eq!(reply.status, status, "{headers}: {}", String::from_utf8_lossy(&reply.body));
+        if status == 401 {
+            is_refused(&reply, 401, "unauthorized");
+            assert_eq!(reply.header("www-authenticate"), Some("Bearer realm=\"densecloud\""));
+            assert_eq!(reply.problem()["setting"], "--keys");
+            assert!(!reply.text().contains("nobodys"), "{}", reply.text());
+        }
+    }
+    for (path, status) in [
+        ("/healthz", 200),
+        ("/readyz", 200),
+        ("/v2/health/ready", 200),
+        ("/docs", 200),
+        ("/metrics", 401),
+        ("/v2/models/densecloud", 401),
+        ("/nowhere", 401),
+    ] {
+        assert_eq!(server.get(path).status, status, "{path}");
+    }
+    let metrics = server.send("GET", "/metrics", BOB, b"");
+    let page = String::from_utf8_lossy(&metrics.body).into_owned();
+    assert!(page.contains("densecloud_admitted_total 2"), "{page}");
+    assert!(!page.contains("alice") && !page.contains("bob"), "no label grows with clients");
+    // The protocol's own form of an error.
+    let infer = server.send("POST", "/v2/models/densecloud/infer", "", b"{}");
+    assert_eq!((infer.status, infer.header("content-type")), (401, Some("application/json")));
+}
+
+#[test]
+fn a_client_with_its_share_used_gets_429_and_others_are_served() {
+    let folder = tempfile::tempdir().unwrap();
+    let backend = Scripted::new();
+    let sizes = EngineConfig { threads: 2, queue_points: 1000, client_points: 500, ..Default::default() };
+    let config = Config { access: keys(folder.path()), ..Config::default() };
+    let server = Server::start_cold(&backend, sizes, config);
+    server.wait_for_ready();
+    backend.shut();
+    let first = server.begin("POST", "/upsample?ratio=4", ALICE, &body());
+    server.wait_for_work();
+    let refused = server.send("POST", "/upsample?ratio=4", ALICE, &body());
+    is_refused(&refused, 429, "client-share");
+    assert_eq!(refused.problem()["setting"], "--client-points");
+    assert_eq!(refused.problem()["limit"], 500);
+    assert!(retry_after(&refused) >= 1);
+    let others = server.begin("POST", "/upsample?ratio=4", BOB, &body());
+    wait_until("the other's is queued", || server.engine.queued_points() == 800);
+    let json = r#"{"parameters":{"ratio":4},"inputs":[{"name":"points","datatype":"FP32","shape":[100,3],
+        "parameters":{"binary_data_size":1200}}]}"#;
+    let headers = format!("{ALICE}inference-header-content-length: {}\r\n", json.len());
+    let infer = server.send("POST", "/v2/models/densecloud/infer", &headers, json.as_bytes());
+    // Its tensor has not been sent: what is wrong with it is told first, or that the share is used.
+    assert!(matches!(infer.status, 400 | 429), "{}", String::from_utf8_lossy(&infer.body));
+    backend.open();
+    assert_eq!((first.reply().status, others.reply().status), (200, 200));
+    assert_eq!(
+        server.metric("densecloud_refused_total{reason=\"client-share\"}"),
+        1.0 + f64::from(u8::from(infer.status == 429))
+    );
+    server.wait_for_no_work();
+}
+
+#[test]
+fn what_cannot_be_admitted_is_refused_before_its_body() {
+    let backend = Scripted::new();
+    let sizes = EngineConfig { threads: 2, queue_points: 1000, client_points: 1000, ..Default::default() };
+    let server = Server::start_cold(&backend, sizes, Config::default());
+    server.wait_for_ready();
+    backend.shut();
+    let _first = server.begin("POST", "/upsample?ratio=6", "", &body());
+    server.wait_for_work();
+    // By its header: the points never come, so whatever answers has not waited for them.
+    let header = "ply\nformat binary_little_endian 1.0\nelement vertex 101\nproperty float x\nproperty float y\n\
+                  property float z\nend_header\n";
+    let head = |length: usize| {
+        format!(
+            "POST /upsample?ratio=4 HTTP/1.1\r\nhost: x\r\nconnection: close\r\ncontent-length: {length}\r\n\r\n"
+        )
+    };
+    let mut client = server.connect();
+    client.send(head(header.len() + 1212).as_bytes());
+    client.send(header.as_bytes());
+    is_refused(&client.reply(), 503, "queue-full");
+    // One that fits has its points from its header on.
+    let mut slow = server.connect();
+    slow.send(head(header.len() + 1212).replace("ratio=4", "points=400").as_bytes());
+    slow.send(header.as_bytes());
+    wait_until("its points are reserved", || server.engine.queued_points() == 1000);
+    // Not one point is left: refused by its head, and not asked for its body.
+    let mut client = server.connect();
+    client.send(head(1000).replace("\r\n\r\n", "\r\nexpect: 100-continue\r\n\r\n").as_bytes());
+    is_refused(&client.reply(), 503, "queue-full");
+    drop(slow);
+    wait_until("they are given back", || server.engine.queued_points() == 600);
+    backend.open();
+    server.wait_for_no_work();
+}
+
+#[test]
+fn a_requests_own_deadline_counts_the_queue_and_is_told_with_what_it_was_spent_for() {
+    let backend = Scripted::new();
+    let server = Server::start(&backend, Config::default());
+    let fine = server.send("POST", "/upsample?ratio=4", "x-request-timeout: 60\r\n", &body());
+    assert_eq!(fine.status, 200);
+    for value in ["0", "-1", "soon", "nan"] {
+        let refused =
+            server.send("POST", "/upsample?ratio=4", &format!("x-request-timeout: {value}\r\n"), &body());
+        is_refused(&refused, 400, "invalid-parameter");
+        assert_eq!(refused.problem()["parameter"], "X-Request-Timeout");
+    }
+    backend.shut();
+    let late = server.send("POST", "/upsample?ratio=4", "x-request-timeout: 0.3\r\n", &body());
+    is_refused(&late, 504, "deadline");
+    let detail = late.problem()["detail"].as_str().unwrap().to_owned();
+    for part in ["0.3 s", "of upload", "in the queue", "at work", "--request-timeout"] {
+        assert!(detail.contains(part), "{part}: {detail}");
+    }
+    backend.open();
+    server.wait_for_no_work();
+}
+
+#[test]
+fn a_deadline_that_the_backlog_rules_out_is_refused_at_once() {
+    let backend = Scripted::over(Fake::slow(std::time::Duration::from_millis(3)));
+    let server = Server::start(&backend, Config::default());
+    let many = encode(&cloud(20_000), PLY);
+    let large = server.begin("POST", "/upsample?ratio=16", "", &many);
+    server.wait_for_work();
+    let refused = server.send("POST", "/upsample?ratio=16", "x-request-timeout: 2\r\n", &many);
+    is_refused(&refused, 503, "too-late");
+    assert!(retry_after(&refused) >= 1);
+    drop(large);
+    server.wait_for_no_work();
+}
+
+#[test]
+fn work_too_big_for_memory_gets_507_and_the_server_lives() {
+    let sizes = EngineConfig { threads: 2, memory: 2 << 20, ..Default::default() };
+    let folder = tempfile::tempdir().unwrap();
+    let config = Config { jobs: Some(jobs::Settings::new(folder.path().to_owned())), ..Config::default() };
+    let server = Server::start_cold(&Scripted::new(), sizes, config);
+    server.wait_for_ready();
+    for path in ["/upsample", "/jobs"] {
+        for format in [PLY, densecloud::formats::Format::TEXT] {
+            let refused = server.post(&format!("{path}?ratio=64"), &encode(&cloud(100), format));
+            is_refused(&refused, 507, "too-big-for-memory");
+            assert_eq!(refused.problem()["setting"], "--max-memory");
+        }
+    }
+    assert_eq!(server.post("/upsample?ratio=4", &body()).status, 200);
+    assert_eq!(server.engine.queued_points(), 0);
+}
+
+#[test]
+fn jobs_are_their_clients_own() {
+    let folder = tempfile::tempdir().unwrap();
+    let settings = jobs::Settings { client_queued: 2, ..jobs::Settings::new(folder.path().join("jobs")) };
+    let config = Config { access: keys(folder.path()), jobs: Some(settings), ..Config::default() };
+    let backend = Scripted::new();
+    let server = Server::start(&backend, config);
+    let submit =
+        |key: &str| server.send("POST", "/jobs?ratio=4", &format!("{key}idempotency-key: same\r\n"), &body());
+    let (mine, yours) = (submit(ALICE), submit(BOB));
+    assert_eq!((mine.status, yours.status), (202, 202), "each has its own names");
+    let path = mine.header("location").unwrap().to_owned();
+    assert_ne!(Some(path.as_str()), yours.header("location"));
+    wait_until("it is done", || server.send("GET", &path, ALICE, b"").text().contains("\"done\""));
+    for (method, target) in [
+        ("GET", path.clone()),
+        ("GET", format!("{path}/result")),
+        ("GET", format!("{path}/events")),
+        ("DELETE", path.clone()),
+    ] {
+        is_refused(&server.send(method, &target, BOB, b""), 404, "no-such-job");
+        is_refused(&server.send(method, &target, "", b""), 401, "unauthorized");
+    }
+    let list = server.send("GET", "/jobs", BOB, b"").text();
+    assert!(!list.contains(&path["/jobs/".len()..]), "{list}");
+    assert_eq!(server.send("GET", &format!("{path}/result"), ALICE, b"").status, 200);
+    assert_eq!(server.send("DELETE", &path, ALICE, b"").status, 204);
+    // And so is their share.
+    backend.shut();
+    let keep = |key: &str| server.send("POST", "/jobs?ratio=4", key, &body());
+    assert_eq!((keep(ALICE).status, keep(ALICE).status), (202, 202));
+    let refused = keep(ALICE);
+    is_refused(&refused, 429, "client-jobs");
+    assert_eq!(refused.problem()["setting"], "--client-jobs");
+    assert_eq!(keep(BOB).status, 202);
+    backend.open();
+    wait_until("it has room again", || keep(ALICE).status == 202);
+    wait_until("all are done", || server.metric("densecloud_jobs{state=\"queued\"}") == 0.0);
+    server.wait_for_no_work();
+}
+
+#[test]
+fn behind_a_proxy_clients_are_told_apart_by_what_it_forwards() {
+    let backend = Scripted::new();
+    let sizes = EngineConfig { threads: 2, queue_points: 2000, client_points: 500, ..Default::default() };
+    let access = Access { trust_forwarded: true, ..Access::default() };
+    let server = Server::start_cold(&backend, sizes, Config { access, ..Config::default() });
+    server.wait_for_ready();
+    backend.shut();
+    let of = |hops: &str| format!("x-forwarded-for: {hops}\r\n");
+    let first = server.begin("POST", "/upsample?ratio=4", &of("10.0.0.1"), &body());
+    server.wait_for_work();
+    let same = server.send("POST", "/upsample?ratio=4", &of("10.0.0.9, 10.0.0.1"), &body());
+    is_refused(&same, 429, "client-share");
+    let other = server.begin("POST", "/upsample?ratio=4", &of("10.0.0.1, 10.0.0.2"), &body());
+    wait_until("the other's is queued", || server.engine.queued_points() == 800);
+    backend.open();
+    assert_eq!((first.reply().status, other.reply().status), (200, 200));
+}
