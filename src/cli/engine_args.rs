@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 use std::sync::Arc;
+use std::time::Duration;
 
 use clap::Args;
 
@@ -43,6 +44,7 @@ impl EngineArgs {
             threads: self.threads,
             concurrency: 1,
             queue_points: u64::MAX,
+            queue_time: Duration::from_secs(u32::MAX.into()),
             ..EngineConfig::default()
         };
         Engine::new(model, config).map_err(|e| CliError::Failed(e.to_string()))

@@ -53,6 +53,12 @@ pub(super) struct ServeArgs {
     #[arg(long, env = "DENSECLOUD_CLIENT_POINTS", value_name = "N", default_value_t = 0)]
     client_points: u64,
 
+    /// Seconds of work that waits above which no more is taken, of small and of large requests each; of one
+    /// client's the same part as --client-points is of --queue-points
+    #[arg(long, env = "DENSECLOUD_QUEUE_TIME", value_name = "SECONDS", value_parser = seconds,
+        default_value = "15")]
+    queue_time: Duration,
+
     /// Bytes of memory that all work at hand may take, as estimated; auto is by the machine's memory
     #[arg(long, env = "DENSECLOUD_MAX_MEMORY", value_name = "N", value_parser = memory,
         default_value = "auto")]
@@ -163,6 +169,7 @@ fn start(args: &ServeArgs, mut config: Config, model: Arc<Model>) -> Result<(), 
         threads: args.engine.threads,
         queue_points: args.queue_points,
         client_points: args.client_points,
+        queue_time: args.queue_time,
         memory: args.max_memory.bytes(config.limits.held_bytes),
         ..Default::default()
     };

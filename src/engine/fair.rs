@@ -80,6 +80,12 @@ impl<T> Fair<T> {
         waiting.remove(place).map(|(item, _)| item)
     }
 
+    /// What waits, of one client or, `None`, of all.
+    pub(super) fn iter(&self, client: Option<&Client>) -> impl Iterator<Item = &T> {
+        let flows = self.flows.iter().filter(move |(of, _)| client.is_none_or(|client| client == *of));
+        flows.flat_map(|(_, flow)| flow.waiting.iter().map(|(item, _)| item))
+    }
+
     /// Takes out everything.
     pub(super) fn drain(&mut self) -> Vec<T> {
         let flows = std::mem::take(&mut self.flows);

@@ -70,6 +70,8 @@ impl Outcome {
 pub(super) struct Task {
     pub(super) client: Client,
     pub(super) cost: Cost,
+    /// How long it will take, alone on the machine.
+    pub(super) estimate: Duration,
     watch: Watch,
     deadline: Option<Instant>,
     submitted: Instant,
@@ -111,11 +113,12 @@ impl Task {
 impl Job {
     pub(super) fn queue(queue: &Arc<Queue>, request: Request, caller: &Caller, permit: Permit) -> Self {
         let (sender, result) = oneshot::channel();
-        let cost = permit.cost();
+        let (cost, estimate) = (permit.cost(), permit.estimate());
         let work = Work { request, permit, result: sender };
         let task = Arc::new(Task {
             client: caller.client.clone(),
             cost,
+            estimate,
             watch: Watch::new(caller.deadline),
             deadline: caller.deadline,
             submitted: Instant::now(),

@@ -55,6 +55,10 @@ pub struct EngineConfig {
     pub queue_points: u64,
     /// The same of one client's requests. 0 means a quarter of all.
     pub client_points: u64,
+    /// Work that waits in a lane above which the lane takes no more requests, by the time that it takes on
+    /// the machine alone; of one client's the same part as of the points. What is at work does not count, nor does
+    /// the size of the request: only those after it would wait for it.
+    pub queue_time: Duration,
     /// Bytes that requests at work may take together, as [`Cost::memory`] estimates them; more wait until
     /// others are done, and a request above it is refused.
     pub memory: u64,
@@ -62,7 +66,14 @@ pub struct EngineConfig {
 
 impl Default for EngineConfig {
     fn default() -> Self {
-        Self { threads: 0, concurrency: 0, queue_points: 50_000_000, client_points: 0, memory: u64::MAX }
+        Self {
+            threads: 0,
+            concurrency: 0,
+            queue_points: 50_000_000,
+            client_points: 0,
+            queue_time: Duration::from_secs(15),
+            memory: u64::MAX,
+        }
     }
 }
 
@@ -97,6 +108,21 @@ pub enum EngineError {
         /// Its share.
         limit: u64,
         /// When there will be room, by the client's own backlog.
+        retry_after: Duration,
+    },
+    /// What waits takes so long that a further request would wait too long.
+    #[error(
+        "what {} waiting takes {:.1} s, and above {:.1} s no more is taken (--queue-time)",
+        if *own { "you have" } else { "is" }, waiting.as_secs_f64(), limit.as_secs_f64()
+    )]
+    Busy {
+        /// Whether it is the client's own work, and its share of the time, or everybody's.
+        own: bool,
+        /// How long that will take.
+        waiting: Duration,
+        /// The most it may take.
+        limit: Duration,
+        /// When there will be room.
         retry_after: Duration,
     },
     /// More memory than all requests together may take.
@@ -191,7 +217,12 @@ impl Engine {
             0 => config.queue_points / 4,
             points => points,
         };
-        let bounds = Bounds { points: config.queue_points, client_points, memory: config.memory };
+        let bounds = Bounds {
+            points: config.queue_points,
+            client_points,
+            time: config.queue_time,
+            memory: config.memory,
+        };
         let queue = Arc::new(Queue::new(bounds));
         let concurrency = or(config.concurrency, threads);
         for i in 0..2 * concurrency {
@@ -251,7 +282,8 @@ impl Engine {
     /// known, or guessed from below. They are given back when the permit is dropped.
     ///
     /// # Errors
-    /// [`EngineError::TooBig`], [`EngineError::Share`], [`EngineError::Full`], or [`EngineError::Late`].
+    /// [`EngineError::TooBig`], [`EngineError::Share`], [`EngineError::Full`],
+    /// [`EngineError::Busy`], or [`EngineError::Late`].
     pub fn reserve(&self, caller: &Caller, cost: Cost) -> Result<Permit, EngineError> {
         self.inner.queue.admit(caller, cost)
     }

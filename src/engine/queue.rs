@@ -19,6 +19,8 @@ pub(super) struct Bounds {
     pub(super) points: u64,
     /// Points out of one client's.
     pub(super) client_points: u64,
+    /// How long what waits in a lane may take above which no more is admitted to it.
+    pub(super) time: Duration,
     /// Bytes that all requests at work may take.
     pub(super) memory: u64,
 }
@@ -209,6 +211,12 @@ impl State {
         admitted.saturating_sub(self.running.iter().filter(mine).map(done).sum())
     }
 
+    /// How long what waits in a lane will take, of one client or, `None`, of all. Not what is reserved: its upload
+    /// may take minutes, in which others' work is done. O(what waits).
+    fn waiting_time(&self, client: Option<&Client>, lane: Lane) -> Duration {
+        self.waiting[lane as usize].iter(client).map(|task| task.estimate).sum()
+    }
+
     fn backlog(&self) -> u64 {
         self.left(None, Lane::Express).saturating_add(self.left(None, Lane::Bulk))
     }
@@ -317,6 +325,7 @@ impl Queue {
         if let Some(retry_after) = full {
             return Err(EngineError::Full { wanted, queued, limit: points, retry_after });
         }
+        self.check_time(state, &caller.client, cost.lane())?;
         let left = caller.deadline.map(|deadline| deadline.saturating_duration_since(Instant::now()));
         // One that is alone is always tried: estimates may be wrong, and only work corrects them.
         if let Some(left) = left.filter(|_| queued > 0) {
@@ -326,6 +335,25 @@ impl Queue {
             }
         }
         Ok(())
+    }
+
+    /// Whether what waits in a lane takes no longer than it may.
+    fn check_time(&self, state: &State, client: &Client, lane: Lane) -> Result<(), EngineError> {
+        let Bounds { points, client_points, time, .. } = self.bounds;
+        let all = state.waiting_time(None, lane);
+        let busy = |own, waiting: Duration, limit, pace: u32| EngineError::Busy {
+            own,
+            waiting,
+            limit,
+            retry_after: (waiting - limit).saturating_mul(pace).min(all).max(SECOND),
+        };
+        let own = state.waiting_time(Some(client), lane);
+        let share = time.mul_f64(client_points as f64 / points.max(1) as f64);
+        if client_points < points && own > share {
+            // Its work goes at its part of the machine's pace.
+            return Err(busy(true, own, share, state.clients.len().try_into().unwrap_or(u32::MAX)));
+        }
+        if all > time { Err(busy(false, all, time, 1)) } else { Ok(()) }
     }
 
     pub(super) fn push(&self, task: Arc<Task>) {

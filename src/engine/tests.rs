@@ -11,6 +11,7 @@ fn engine(fake: &Fake, queue_points: u64) -> Engine {
         concurrency: 1,
         queue_points,
         client_points: queue_points,
+        queue_time: Duration::from_secs(3600),
         ..EngineConfig::default()
     };
     Engine::with_backend(Arc::new(fake.clone()), config).unwrap()
@@ -226,6 +227,39 @@ fn retry_after_grows_with_what_waits() {
     let (small, large) = (retry(&engine, 40_000), retry(&engine, 400_000));
     assert!(small > Duration::from_secs(1) && large > 9 * small, "{small:?} {large:?}");
     assert!(large <= engine.backlog());
+}
+
+#[test]
+fn what_waits_is_bounded_in_time_for_all_and_for_each_client() {
+    let fake = Fake::slow(Duration::from_millis(5));
+    let config = EngineConfig { threads: 1, concurrency: 1, ..EngineConfig::default() };
+    let engine = Engine::with_backend(Arc::new(fake.clone()), config).unwrap();
+    engine.warm_up().unwrap();
+    let one = engine.estimate(cost(2000, 8000)).unwrap();
+    let config = EngineConfig { queue_time: 8 * one, ..config };
+    let engine = Engine::with_backend(Arc::new(fake), config).unwrap();
+    engine.warm_up().unwrap();
+    // What is reserved does not wait: its upload may take minutes.
+    let _reserved = engine.reserve(&caller("z"), cost(20_000, 80_000)).unwrap();
+    let mut jobs = Vec::new();
+    let (mut share, mut long) = (0, 0);
+    for client in ["a", "b", "c", "d", "e", "f", "g"] {
+        for _ in 0..20 {
+            match engine.submit_for(&caller(client), request(2000, 4.0), None) {
+                Ok(job) => jobs.push(job),
+                Err(EngineError::Busy { own, waiting, limit, retry_after }) => {
+                    assert!(waiting > limit && retry_after >= Duration::from_secs(1));
+                    *(if own { &mut share } else { &mut long }) += 1;
+                }
+                Err(other) => panic!("{other}"),
+            }
+        }
+    }
+    // A client's share is a quarter, and a request that finds less is taken whole. Machines have hiccups.
+    assert!((4..70).contains(&jobs.len()), "{} were taken", jobs.len());
+    assert!(share > 0 && long > 0, "{share} and {long}");
+    // The other lane is another queue.
+    assert!(engine.reserve(&caller("h"), cost(100_000, 400_000)).is_ok());
 }
 
 #[test]

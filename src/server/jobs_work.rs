@@ -77,7 +77,9 @@ impl Work for Upsampling {
         let outcome = app.engine.submit_for(&caller, request, None).and_then(|job| task.wait(job)).map_err(
             |error| match error {
                 // Live requests have the points; a job can wait.
-                EngineError::Full { .. } | EngineError::Share { .. } => Stopped::Later,
+                EngineError::Full { .. } | EngineError::Share { .. } | EngineError::Busy { .. } => {
+                    Stopped::Later
+                }
                 EngineError::Cancelled => Stopped::Cancelled,
                 error => refused(Problem::from_engine(error)),
             },

@@ -50,8 +50,16 @@ const JOBS: &str = "densecloud_jobs";
 const MODEL: &str = "densecloud_model_info";
 
 /// Why requests are mostly refused.
-const REASONS: [&str; 6] =
-    ["client-share", "queue-full", "too-late", "too-big-for-memory", "client-jobs", "jobs-full"];
+const REASONS: [&str; 8] = [
+    "client-share",
+    "client-time",
+    "queue-full",
+    "queue-long",
+    "too-late",
+    "too-big-for-memory",
+    "client-jobs",
+    "jobs-full",
+];
 
 /// From a small cloud's milliseconds to a large one's ten minutes.
 const BUCKETS: [f64; 14] =

@@ -136,6 +136,21 @@ pub(super) enum Problem {
         /// From the client's own backlog.
         retry_after: Duration,
     },
+    /// What waits takes so long that nothing more is taken, of this client or of anybody.
+    #[error(
+        "what {} waiting takes {:.1} s, and above {:.1} s no more is taken; --queue-time lifts this limit",
+        if *own { "you have" } else { "is" }, waiting.as_secs_f64(), limit.as_secs_f64()
+    )]
+    Busy {
+        /// Whether it is the client's own work.
+        own: bool,
+        /// How long that will take.
+        waiting: Duration,
+        /// The most it may take.
+        limit: Duration,
+        /// When there will be room.
+        retry_after: Duration,
+    },
     /// With what is queued, the deadline cannot be met.
     #[error(
         "with what is queued, this request would be done in about {:.1} s, and it has {:.1} s left; come back \
@@ -336,6 +351,9 @@ impl Problem {
             EngineError::Share { wanted, used, limit, retry_after } => {
                 Self::ClientShare { wanted, used, limit, retry_after }
             }
+            EngineError::Busy { own, waiting, limit, retry_after } => {
+                Self::Busy { own, waiting, limit, retry_after }
+            }
             EngineError::TooBig { bytes, limit } => Self::TooBig { bytes, limit },
             EngineError::Late { needed, left, retry_after } => Self::Late { needed, left, retry_after },
             EngineError::Deadline { waited, worked } => Self::Deadline {
@@ -433,6 +451,15 @@ impl Problem {
             Self::QueueFull { .. } => {
                 (S::SERVICE_UNAVAILABLE, "queue-full", "The queue is full", Some("--queue-points"))
             }
+            Self::Busy { own: false, .. } => {
+                (S::SERVICE_UNAVAILABLE, "queue-long", "The queue is too long", Some("--queue-time"))
+            }
+            Self::Busy { own: true, .. } => (
+                S::TOO_MANY_REQUESTS,
+                "client-time",
+                "Your share of the queue's time is used",
+                Some("--queue-time"),
+            ),
             Self::Unauthorized(_) => (S::UNAUTHORIZED, "unauthorized", "A key is needed", Some("--keys")),
             Self::ClientShare { .. } => (
                 S::TOO_MANY_REQUESTS,
@@ -511,7 +538,9 @@ impl Problem {
             | Self::JobDisk { limit, .. }
             | Self::HeldFull { limit, .. } => Some((*limit).into()),
             Self::GaveUp { attempts } => Some((*attempts).into()),
-            Self::UploadStalled { limit } | Self::Deadline { limit, .. } => seconds(limit),
+            Self::UploadStalled { limit } | Self::Deadline { limit, .. } | Self::Busy { limit, .. } => {
+                seconds(limit)
+            }
             _ => None,
         }
     }
@@ -520,6 +549,7 @@ impl Problem {
         match self {
             Self::QueueFull { retry_after, .. }
             | Self::ClientShare { retry_after, .. }
+            | Self::Busy { retry_after, .. }
             | Self::Late { retry_after, .. }
             | Self::JobsFull { retry_after, .. }
             | Self::ClientJobs { retry_after, .. } => Some(*retry_after),
@@ -667,6 +697,7 @@ impl IntoResponse for Problem {
 #[cfg(test)]
 pub(super) fn every_problem() -> Vec<(Problem, u16, &'static str)> {
     let second = Duration::from_millis(1500);
+    let busy = |own| Problem::Busy { own, waiting: second, limit: second, retry_after: second };
     vec![
         (Problem::NotFound, 404, "not-found"),
         (Problem::UnknownModel("x".into()), 404, "unknown-model"),
@@ -690,6 +721,8 @@ pub(super) fn every_problem() -> Vec<(Problem, u16, &'static str)> {
         (Problem::HeldFull { used: 4, limit: 5 }, 503, "memory-full"),
         (Problem::Deadline { limit: second, spent: "x".into() }, 504, "deadline"),
         (Problem::Unauthorized("x"), 401, "unauthorized"),
+        (busy(false), 503, "queue-long"),
+        (busy(true), 429, "client-time"),
         (Problem::ClientShare { wanted: 1, used: 5, limit: 5, retry_after: second }, 429, "client-share"),
         (Problem::Late { needed: second, left: second, retry_after: second }, 503, "too-late"),
         (Problem::TooBig { bytes: 9, limit: 5 }, 507, "too-big-for-memory"),

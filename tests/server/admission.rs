@@ -187,11 +187,14 @@ fn a_requests_own_deadline_counts_the_queue_and_is_told_with_what_it_was_spent_f
 
 #[test]
 fn a_deadline_that_the_backlog_rules_out_is_refused_at_once() {
-    let backend = Scripted::over(Fake::slow(std::time::Duration::from_millis(3)));
+    let fake = Fake::slow(std::time::Duration::from_millis(3));
+    let backend = Scripted::over(fake.clone());
     let server = Server::start(&backend, Config::default());
     let many = encode(&cloud(20_000), PLY);
+    // Of the warm-up.
+    let before = fake.batches();
     let large = server.begin("POST", "/upsample?ratio=16", "", &many);
-    server.wait_for_work();
+    wait_until("it is at work", || fake.batches() > before);
     let refused = server.send("POST", "/upsample?ratio=16", "x-request-timeout: 2\r\n", &many);
     is_refused(&refused, 503, "too-late");
     assert!(retry_after(&refused) >= 1);
