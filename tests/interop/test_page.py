@@ -69,6 +69,7 @@ def test_a_file_goes_up_and_a_denser_one_comes_down(page, upsample, sphere, tmp_
     page.set_input_files("#file", source)
     page.fill("#ratio", "3")
     page.fill("#seed", "7")
+    page.fill("#X-Request-Timeout", "60")
     page.select_option("#keep_input", "true")
     page.select_option("#accept", "application/x-ply")
     page.click("button")
