@@ -265,13 +265,13 @@ impl Jobs {
         task.progress()
     }
 
-    /// Points that running jobs still have to make.
-    pub fn points_running(&self) -> u64 {
+    /// Points that running jobs still have to make, beside one that may have begun since it was looked up.
+    pub fn points_running(&self, beside: &str) -> u64 {
         let left = |(record, task): &(Record, Arc<Task>)| {
             let done = task.progress().map_or(0.0, |progress| progress.fraction);
             (record.points_out as f64 * (1.0 - done)) as u64
         };
-        self.lock().tasks.values().map(left).sum()
+        self.lock().tasks.values().filter(|(record, _)| record.id != beside).map(left).sum()
     }
 
     /// Changes with the state of any job.

@@ -107,7 +107,8 @@ impl Document {
             State::Queued => {
                 let (count, points) = jobs.store().ahead(record)?;
                 document.position = Some(count);
-                let start = time(points.saturating_add(jobs.points_running())).map(|wait| now + wait);
+                let start =
+                    time(points.saturating_add(jobs.points_running(&record.id))).map(|wait| now + wait);
                 document.expected_start = start.map(rfc3339);
                 document.expected_end =
                     start.zip(time(record.points_out)).map(|(start, work)| rfc3339(start + work));
