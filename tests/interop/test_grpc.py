@@ -17,7 +17,7 @@ from grpc_reflection.v1alpha.proto_reflection_descriptor_database import ProtoRe
 from grpc_status import rpc_status
 from grpc_tools import protoc
 
-from conftest import PROGRAM, ROOT
+from conftest import ROOT, serving
 
 NUMBERS = {"f4": 1, "f8": 2, "i1": 3, "u1": 4, "i2": 5, "u2": 6, "i4": 7, "u4": 8, "i8": 9, "u8": 10}
 TYPES = {number: np.dtype(f"<{name}") for name, number in NUMBERS.items()}
@@ -38,23 +38,8 @@ def stubs(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def address():
-    """The address of a `densecloud serve` on a port that the system chooses."""
-    command = [PROGRAM, "serve", "--port", "0", "--max-points-in", "50000"]
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
-    address = None
-    for line in process.stderr:
-        if listening := re.search(r"address=(\S+)", line):
-            address = listening[1]
-        if "ready" in line:
-            break
-    rest = threading.Thread(target=process.stderr.read, daemon=True)
-    rest.start()
-    try:
-        assert address, "it has started"
+    with serving("--max-points-in", 50000) as address:
         yield address
-    finally:
-        process.terminate()
-        assert process.wait(60) == 0
 
 
 @pytest.fixture

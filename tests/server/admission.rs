@@ -9,29 +9,10 @@ use densecloud::engine::EngineConfig;
 use densecloud::jobs;
 use densecloud::server::{Access, Config, Keys};
 
-use crate::support::{Client, PLY, Reply, Scripted, Server, cloud, encode, wait_until};
+use crate::support::{PLY, Reply, Scripted, Server, cloud, encode, wait_until};
 
 const ALICE: &str = "authorization: Bearer alices-secret-key\r\n";
 const BOB: &str = "authorization: Bearer bobs-own-secret-key\r\n";
-
-impl Server {
-    fn begin(&self, method: &str, target: &str, headers: &str, body: &[u8]) -> Client {
-        let mut client = self.connect();
-        let length = body.len();
-        client.send(
-            format!(
-                "{method} {target} HTTP/1.1\r\nhost: x\r\nconnection: close\r\ncontent-length: {length}\r\n{headers}\r\n"
-            )
-            .as_bytes(),
-        );
-        client.send(body);
-        client
-    }
-
-    fn send(&self, method: &str, target: &str, headers: &str, body: &[u8]) -> Reply {
-        self.begin(method, target, headers, body).reply()
-    }
-}
 
 fn keys(folder: &Path) -> Access {
     let path = folder.join("keys");
@@ -64,7 +45,7 @@ fn with_keys_one_is_needed_but_for_what_is_open() {
         (ALICE, 200),
         ("x-api-key: bobs-own-secret-key\r\n", 200),
     ] {
-        let reply = server.send("POST", "/upsample?ratio=2", headers, &body());
+        let reply = server.ask("POST", "/upsample?ratio=2", headers, &body());
         assert_eq!(reply.status, status, "{headers}: {}", String::from_utf8_lossy(&reply.body));
         if status == 401 {
             is_refused(&reply, 401, "unauthorized");
@@ -84,12 +65,12 @@ fn with_keys_one_is_needed_but_for_what_is_open() {
     ] {
         assert_eq!(server.get(path).status, status, "{path}");
     }
-    let metrics = server.send("GET", "/metrics", BOB, b"");
+    let metrics = server.ask("GET", "/metrics", BOB, b"");
     let page = String::from_utf8_lossy(&metrics.body).into_owned();
     assert!(page.contains("densecloud_admitted_total 2"), "{page}");
     assert!(!page.contains("alice") && !page.contains("bob"), "no label grows with clients");
     // The protocol's own form of an error.
-    let infer = server.send("POST", "/v2/models/densecloud/infer", "", b"{}");
+    let infer = server.ask("POST", "/v2/models/densecloud/infer", "", b"{}");
     assert_eq!((infer.status, infer.header("content-type")), (401, Some("application/json")));
 }
 
@@ -104,7 +85,7 @@ fn a_client_with_its_share_used_gets_429_and_others_are_served() {
     backend.shut();
     let first = server.begin("POST", "/upsample?ratio=4", ALICE, &body());
     server.wait_for_work();
-    let refused = server.send("POST", "/upsample?ratio=4", ALICE, &body());
+    let refused = server.ask("POST", "/upsample?ratio=4", ALICE, &body());
     is_refused(&refused, 429, "client-share");
     assert_eq!(refused.problem()["setting"], "--client-points");
     assert_eq!(refused.problem()["limit"], 500);
@@ -114,7 +95,7 @@ fn a_client_with_its_share_used_gets_429_and_others_are_served() {
     let json = r#"{"parameters":{"ratio":4},"inputs":[{"name":"points","datatype":"FP32","shape":[100,3],
         "parameters":{"binary_data_size":1200}}]}"#;
     let headers = format!("{ALICE}inference-header-content-length: {}\r\n", json.len());
-    let infer = server.send("POST", "/v2/models/densecloud/infer", &headers, json.as_bytes());
+    let infer = server.ask("POST", "/v2/models/densecloud/infer", &headers, json.as_bytes());
     // Its tensor has not been sent: what is wrong with it is told first, or that the share is used.
     assert!(matches!(infer.status, 400 | 429), "{}", String::from_utf8_lossy(&infer.body));
     backend.open();
@@ -166,16 +147,16 @@ fn what_cannot_be_admitted_is_refused_before_its_body() {
 fn a_requests_own_deadline_counts_the_queue_and_is_told_with_what_it_was_spent_for() {
     let backend = Scripted::new();
     let server = Server::start(&backend, Config::default());
-    let fine = server.send("POST", "/upsample?ratio=4", "x-request-timeout: 60\r\n", &body());
+    let fine = server.ask("POST", "/upsample?ratio=4", "x-request-timeout: 60\r\n", &body());
     assert_eq!(fine.status, 200);
     for value in ["0", "-1", "soon", "nan"] {
         let refused =
-            server.send("POST", "/upsample?ratio=4", &format!("x-request-timeout: {value}\r\n"), &body());
+            server.ask("POST", "/upsample?ratio=4", &format!("x-request-timeout: {value}\r\n"), &body());
         is_refused(&refused, 400, "invalid-parameter");
         assert_eq!(refused.problem()["parameter"], "X-Request-Timeout");
     }
     backend.shut();
-    let late = server.send("POST", "/upsample?ratio=4", "x-request-timeout: 0.3\r\n", &body());
+    let late = server.ask("POST", "/upsample?ratio=4", "x-request-timeout: 0.3\r\n", &body());
     is_refused(&late, 504, "deadline");
     let detail = late.problem()["detail"].as_str().unwrap().to_owned();
     for part in ["0.3 s", "of upload", "in the queue", "at work", "--request-timeout"] {
@@ -195,7 +176,7 @@ fn a_deadline_that_the_backlog_rules_out_is_refused_at_once() {
     let before = fake.batches();
     let large = server.begin("POST", "/upsample?ratio=16", "", &many);
     wait_until("it is at work", || fake.batches() > before);
-    let refused = server.send("POST", "/upsample?ratio=16", "x-request-timeout: 2\r\n", &many);
+    let refused = server.ask("POST", "/upsample?ratio=16", "x-request-timeout: 2\r\n", &many);
     is_refused(&refused, 503, "too-late");
     assert!(retry_after(&refused) >= 1);
     drop(large);
@@ -228,28 +209,28 @@ fn jobs_are_their_clients_own() {
     let backend = Scripted::new();
     let server = Server::start(&backend, config);
     let submit =
-        |key: &str| server.send("POST", "/jobs?ratio=4", &format!("{key}idempotency-key: same\r\n"), &body());
+        |key: &str| server.ask("POST", "/jobs?ratio=4", &format!("{key}idempotency-key: same\r\n"), &body());
     let (mine, yours) = (submit(ALICE), submit(BOB));
     assert_eq!((mine.status, yours.status), (202, 202), "each has its own names");
     let path = mine.header("location").unwrap().to_owned();
     assert_ne!(Some(path.as_str()), yours.header("location"));
-    wait_until("it is done", || server.send("GET", &path, ALICE, b"").text().contains("\"done\""));
+    wait_until("it is done", || server.ask("GET", &path, ALICE, b"").text().contains("\"done\""));
     for (method, target) in [
         ("GET", path.clone()),
         ("GET", format!("{path}/result")),
         ("GET", format!("{path}/events")),
         ("DELETE", path.clone()),
     ] {
-        is_refused(&server.send(method, &target, BOB, b""), 404, "no-such-job");
-        is_refused(&server.send(method, &target, "", b""), 401, "unauthorized");
+        is_refused(&server.ask(method, &target, BOB, b""), 404, "no-such-job");
+        is_refused(&server.ask(method, &target, "", b""), 401, "unauthorized");
     }
-    let list = server.send("GET", "/jobs", BOB, b"").text();
+    let list = server.ask("GET", "/jobs", BOB, b"").text();
     assert!(!list.contains(&path["/jobs/".len()..]), "{list}");
-    assert_eq!(server.send("GET", &format!("{path}/result"), ALICE, b"").status, 200);
-    assert_eq!(server.send("DELETE", &path, ALICE, b"").status, 204);
+    assert_eq!(server.ask("GET", &format!("{path}/result"), ALICE, b"").status, 200);
+    assert_eq!(server.ask("DELETE", &path, ALICE, b"").status, 204);
     // And so is their share.
     backend.shut();
-    let keep = |key: &str| server.send("POST", "/jobs?ratio=4", key, &body());
+    let keep = |key: &str| server.ask("POST", "/jobs?ratio=4", key, &body());
     assert_eq!((keep(ALICE).status, keep(ALICE).status), (202, 202));
     let refused = keep(ALICE);
     is_refused(&refused, 429, "client-jobs");
@@ -272,7 +253,7 @@ fn behind_a_proxy_clients_are_told_apart_by_what_it_forwards() {
     let of = |hops: &str| format!("x-forwarded-for: {hops}\r\n");
     let first = server.begin("POST", "/upsample?ratio=4", &of("10.0.0.1"), &body());
     server.wait_for_work();
-    let same = server.send("POST", "/upsample?ratio=4", &of("10.0.0.9, 10.0.0.1"), &body());
+    let same = server.ask("POST", "/upsample?ratio=4", &of("10.0.0.9, 10.0.0.1"), &body());
     is_refused(&same, 429, "client-share");
     let other = server.begin("POST", "/upsample?ratio=4", &of("10.0.0.1, 10.0.0.2"), &body());
     wait_until("the other's is queued", || server.engine.queued_points() == 800);

@@ -480,11 +480,11 @@ async fn work_may_take_longer_than_a_client_may_stall() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_reader_that_stops_reading_is_cut_off_and_does_not_find_its_result_whole() {
     let server = Server::start(&Scripted::new(), impatient());
-    let request = stream::iter(points(ratio(64.0), &plain(4000), NumberType::Float64, 4000));
+    let request = stream::iter(points(ratio(64.0), &plain(1000), NumberType::Float64, 1000));
     let channel = Endpoint::from_shared(format!("http://{}", server.address)).unwrap();
     let channel = channel.initial_stream_window_size(65_535).connect_lazy();
     let mut answer = UpsamplerClient::new(channel).upsample(request).await.expect("a response").into_inner();
-    wait_until("the result is there", || server.metric("densecloud_points_out_total") == 256_000.0);
+    wait_until("the result is there", || server.metric("densecloud_points_out_total") == 64_000.0);
     wait_until("its memory is given back", || server.metric("densecloud_held_bytes") == 0.0);
     wait_until("it is counted", || server.metric(CANCELLED) == 1.0);
     let ended = loop {

@@ -42,19 +42,6 @@ fn wait_for(server: &Server, path: &str, wanted: &str) -> Value {
 }
 
 impl Server {
-    pub(crate) fn ask(&self, method: &str, target: &str, headers: &str, body: &[u8]) -> Reply {
-        let mut client = self.connect();
-        let length = body.len();
-        client.send(
-            format!(
-                "{method} {target} HTTP/1.1\r\nhost: x\r\nconnection: close\r\ncontent-length: {length}\r\n{headers}\r\n"
-            )
-            .as_bytes(),
-        );
-        client.send(body);
-        client.reply()
-    }
-
     fn delete(&self, target: &str) -> Reply {
         self.ask("DELETE", target, "", b"")
     }

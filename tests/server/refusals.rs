@@ -6,7 +6,7 @@ use std::time::Duration;
 use densecloud::engine::EngineConfig;
 use densecloud::server::{Config, Limits};
 
-use crate::support::{PLY, Scripted, Server, cloud, encode};
+use crate::support::{PLY, Scripted, Server, cloud, encode, wait_until};
 
 fn limits() -> Limits {
     Limits { body_bytes: 20_000, points_in: 1000, points_out: 4000, held_bytes: 200_000, ..Limits::default() }
@@ -168,13 +168,14 @@ fn results_have_their_memory_before_the_work_begins() {
     let body = encode(&cloud(100), PLY);
     let mut first = server.connect();
     first.send_post("/upsample?ratio=40", &body);
-    server.wait_for_work();
+    // Its points are reserved by its header, its result's memory when all of it has come.
+    wait_until("it has its memory", || server.metric("densecloud_held_bytes") >= 96_000.0);
     let refused = server.post("/upsample?ratio=40", &body);
     assert_eq!((refused.status, refused.problem_name().as_str()), (503, "memory-full"));
     assert_eq!(refused.problem()["setting"], "--max-held-bytes");
     backend.open();
     assert_eq!(first.reply().status, 200);
-    crate::support::wait_until("it is given back", || server.metric("densecloud_held_bytes") == 0.0);
+    wait_until("it is given back", || server.metric("densecloud_held_bytes") == 0.0);
 }
 
 #[test]
@@ -247,7 +248,7 @@ fn a_compressed_body_is_read_and_a_bomb_is_refused_while_it_comes() {
         let broken = ask(coding, b"1 2 3\n", 0);
         assert_eq!((broken.status, broken.problem_name().as_str()), (400, "interrupted-body"), "{coding}");
     }
-    crate::support::wait_until("all is given back", || server.metric("densecloud_held_bytes") == 0.0);
+    wait_until("all is given back", || server.metric("densecloud_held_bytes") == 0.0);
 }
 
 fn gzip(bytes: &[u8]) -> Vec<u8> {

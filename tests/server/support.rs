@@ -16,7 +16,7 @@ use densecloud::server::{self, Config, ServeError};
 use tokio::sync::oneshot;
 
 /// Longer than anything here takes; a test that needs it all has failed.
-pub(crate) const PATIENCE: Duration = Duration::from_secs(60);
+pub(crate) const PATIENCE: Duration = Duration::from_secs(180);
 
 pub(crate) const PLY: Format = Format::Ply { encoding: PlyEncoding::BinaryLittleEndian, scalar: Scalar::F32 };
 
@@ -160,15 +160,23 @@ impl Server {
     }
 
     pub(crate) fn get(&self, path: &str) -> Reply {
-        let mut client = self.connect();
-        client.send(format!("GET {path} HTTP/1.1\r\nhost: x\r\nconnection: close\r\n\r\n").as_bytes());
-        client.reply()
+        self.ask("GET", path, "", b"")
     }
 
     pub(crate) fn post(&self, target: &str, body: &[u8]) -> Reply {
+        self.ask("POST", target, "", body)
+    }
+
+    /// A request of one's own connection, with further headers, each with its line's end.
+    pub(crate) fn ask(&self, method: &str, target: &str, headers: &str, body: &[u8]) -> Reply {
+        self.begin(method, target, headers, body).reply()
+    }
+
+    /// The same, without waiting for the reply.
+    pub(crate) fn begin(&self, method: &str, target: &str, headers: &str, body: &[u8]) -> Client {
         let mut client = self.connect();
-        client.send_post(target, body);
-        client.reply()
+        client.send_request(method, target, headers, body);
+        client
     }
 
     pub(crate) fn metric(&self, line: &str) -> f64 {
@@ -217,9 +225,13 @@ impl Client {
     }
 
     pub(crate) fn send_post(&mut self, target: &str, body: &[u8]) {
+        self.send_request("POST", target, "", body);
+    }
+
+    fn send_request(&mut self, method: &str, target: &str, headers: &str, body: &[u8]) {
+        let length = body.len();
         let head = format!(
-            "POST {target} HTTP/1.1\r\nhost: x\r\nconnection: close\r\ncontent-length: {}\r\n\r\n",
-            body.len()
+            "{method} {target} HTTP/1.1\r\nhost: x\r\nconnection: close\r\ncontent-length: {length}\r\n{headers}\r\n"
         );
         self.send(head.as_bytes());
         self.send(body);
