@@ -11,6 +11,7 @@ mod fair;
 mod job;
 mod progress;
 mod queue;
+mod refusal;
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -20,6 +21,7 @@ pub use cost::Cost;
 pub use job::{Job, Outcome, ProgressHandle};
 pub use progress::{Progress, StageTimes};
 pub use queue::Permit;
+pub use refusal::Refusal;
 
 use crate::attributes::Finish;
 use crate::backend::{Backend, BackendError, Lane, Model, OnnxBackend, Workers};
@@ -80,72 +82,9 @@ impl Default for EngineConfig {
 /// Why a request has no result.
 #[derive(Debug, Clone, thiserror::Error)]
 pub enum EngineError {
-    /// The queue is full.
-    #[error(
-        "busy: {queued} points are queued or running and this request would add {wanted}, above the \
-         limit of {limit} (--queue-points)"
-    )]
-    Full {
-        /// Points out that this request would give.
-        wanted: u64,
-        /// Points out already admitted.
-        queued: u64,
-        /// The limit.
-        limit: u64,
-        /// When there will be room, by the backlog.
-        retry_after: Duration,
-    },
-    /// The client's share of the queue is used up.
-    #[error(
-        "{used} points of yours are queued or running and this request would add {wanted}, above your share \
-         of {limit} (--client-points)"
-    )]
-    Share {
-        /// Points out that this request would give.
-        wanted: u64,
-        /// Points out that the client has admitted.
-        used: u64,
-        /// Its share.
-        limit: u64,
-        /// When there will be room, by the client's own backlog.
-        retry_after: Duration,
-    },
-    /// What waits takes so long that a further request would wait too long.
-    #[error(
-        "what {} waiting takes {:.1} s, and above {:.1} s no more is taken (--queue-time)",
-        if *own { "you have" } else { "is" }, waiting.as_secs_f64(), limit.as_secs_f64()
-    )]
-    Busy {
-        /// Whether it is the client's own work, and its share of the time, or everybody's.
-        own: bool,
-        /// How long that will take.
-        waiting: Duration,
-        /// The most it may take.
-        limit: Duration,
-        /// When there will be room.
-        retry_after: Duration,
-    },
-    /// More memory than all requests together may take.
-    #[error("the work would take about {bytes} bytes of memory, more than {limit} (--max-memory)")]
-    TooBig {
-        /// The estimate.
-        bytes: u64,
-        /// The limit.
-        limit: u64,
-    },
-    /// Not to be done by its deadline, with what is before it.
-    #[error(
-        "with what is queued, this request would take about {:.1} s, and its deadline is in {:.1} s",
-        needed.as_secs_f64(), left.as_secs_f64()
-    )]
-    Late {
-        /// How long it would take.
-        needed: Duration,
-        /// Time to the deadline.
-        left: Duration,
-        /// When it could be done in that time, by the backlog.
-        retry_after: Duration,
-    },
+    /// It was not admitted.
+    #[error(transparent)]
+    Refused(#[from] Refusal),
     /// The deadline came before the result.
     #[error(
         "the deadline came after {:.1} s in the queue and {:.1} s of work",
@@ -282,9 +221,8 @@ impl Engine {
     /// known, or guessed from below. They are given back when the permit is dropped.
     ///
     /// # Errors
-    /// [`EngineError::TooBig`], [`EngineError::Share`], [`EngineError::Full`],
-    /// [`EngineError::Busy`], or [`EngineError::Late`].
-    pub fn reserve(&self, caller: &Caller, cost: Cost) -> Result<Permit, EngineError> {
+    /// Any [`Refusal`].
+    pub fn reserve(&self, caller: &Caller, cost: Cost) -> Result<Permit, Refusal> {
         self.inner.queue.admit(caller, cost)
     }
 
@@ -292,15 +230,15 @@ impl Engine {
     ///
     /// # Errors
     /// The same.
-    pub fn would_admit(&self, caller: &Caller, cost: Cost) -> Result<(), EngineError> {
+    pub fn would_admit(&self, caller: &Caller, cost: Cost) -> Result<(), Refusal> {
         self.inner.queue.would_admit(caller, cost)
     }
 
     /// Whether a request of this size fits into the memory that all together may take.
     ///
     /// # Errors
-    /// [`EngineError::TooBig`].
-    pub fn check_memory(&self, cost: Cost) -> Result<(), EngineError> {
+    /// [`Refusal::TooBig`].
+    pub fn check_memory(&self, cost: Cost) -> Result<(), Refusal> {
         self.inner.queue.check_memory(cost)
     }
 

@@ -5,11 +5,11 @@ use std::collections::HashMap;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-use super::EngineError;
 use super::client::{Caller, Client};
 use super::cost::{Cost, Pace};
 use super::fair::Fair;
 use super::job::Task;
+use super::refusal::Refusal;
 use crate::backend::Lane;
 
 /// What a queue may hold.
@@ -110,7 +110,7 @@ impl Permit {
     ///
     /// # Errors
     /// As [`super::Engine::reserve`]; it is as before then.
-    pub(super) fn resize(&mut self, caller: &Caller, cost: Cost) -> Result<(), EngineError> {
+    pub(super) fn resize(&mut self, caller: &Caller, cost: Cost) -> Result<(), Refusal> {
         if cost == self.cost {
             return Ok(());
         }
@@ -242,8 +242,8 @@ impl State {
 
     /// The next task for a thread that takes both lanes, or small ones alone.
     fn pick(&mut self, only: Option<Lane>, memory: u64) -> Option<Arc<Task>> {
+        let used = self.memory();
         let [express, bulk] = &mut self.waiting;
-        let used = self.running.iter().map(|r| r.memory).sum::<u64>();
         let alone = self.running.is_empty();
         let fits = |task: &Arc<Task>| alone || used.saturating_add(task.cost.memory()) <= memory;
         if let Some(room) = bulk.peek().map(fits) {
@@ -280,7 +280,7 @@ impl Queue {
     }
 
     /// Takes the points of one request from the budget.
-    pub(super) fn admit(self: &Arc<Self>, caller: &Caller, cost: Cost) -> Result<Permit, EngineError> {
+    pub(super) fn admit(self: &Arc<Self>, caller: &Caller, cost: Cost) -> Result<Permit, Refusal> {
         let mut state = self.lock();
         self.check(&mut state, caller, cost)?;
         let time = state.time(cost);
@@ -289,20 +289,17 @@ impl Queue {
     }
 
     /// Whether a request could be admitted, were it this small.
-    pub(super) fn would_admit(&self, caller: &Caller, cost: Cost) -> Result<(), EngineError> {
+    pub(super) fn would_admit(&self, caller: &Caller, cost: Cost) -> Result<(), Refusal> {
         self.check(&mut self.lock(), caller, cost)
     }
 
     /// Whether one request alone is within the bound of memory.
-    pub(super) fn check_memory(&self, cost: Cost) -> Result<(), EngineError> {
+    pub(super) fn check_memory(&self, cost: Cost) -> Result<(), Refusal> {
         let (bytes, limit) = (cost.memory(), self.bounds.memory);
-        if bytes > limit { Err(EngineError::TooBig { bytes, limit }) } else { Ok(()) }
+        if bytes > limit { Err(Refusal::TooBig { bytes, limit }) } else { Ok(()) }
     }
 
-    fn check(&self, state: &mut State, caller: &Caller, cost: Cost) -> Result<(), EngineError> {
-        if state.closed {
-            return Err(EngineError::Cancelled);
-        }
+    fn check(&self, state: &mut State, caller: &Caller, cost: Cost) -> Result<(), Refusal> {
         self.check_memory(cost)?;
         state.look();
         let wanted = cost.points_out;
@@ -320,10 +317,10 @@ impl Queue {
             // Its work gets its share of the machine, and the whole when the others' is done.
             let own = own[0].saturating_add(own[1]).saturating_mul(state.clients.len() as u64);
             let retry_after = part(own.min(state.backlog()), need, used).max(full.unwrap_or_default());
-            return Err(EngineError::Share { wanted, used, limit: client_points, retry_after });
+            return Err(Refusal::Share { wanted, used, limit: client_points, retry_after });
         }
         if let Some(retry_after) = full {
-            return Err(EngineError::Full { wanted, queued, limit: points, retry_after });
+            return Err(Refusal::Full { wanted, queued, limit: points, retry_after });
         }
         self.check_time(state, &caller.client, cost.lane())?;
         let left = caller.deadline.map(|deadline| deadline.saturating_duration_since(Instant::now()));
@@ -331,17 +328,17 @@ impl Queue {
         if let Some(left) = left.filter(|_| queued > 0) {
             let needed = state.done_in(&caller.client, cost);
             if needed > left {
-                return Err(EngineError::Late { needed, left, retry_after: (needed - left).max(SECOND) });
+                return Err(Refusal::Late { needed, left, retry_after: (needed - left).max(SECOND) });
             }
         }
         Ok(())
     }
 
     /// Whether what waits in a lane takes no longer than it may.
-    fn check_time(&self, state: &State, client: &Client, lane: Lane) -> Result<(), EngineError> {
+    fn check_time(&self, state: &State, client: &Client, lane: Lane) -> Result<(), Refusal> {
         let Bounds { points, client_points, time, .. } = self.bounds;
         let all = state.waiting_time(None, lane);
-        let busy = |own, waiting: Duration, limit, pace: u32| EngineError::Busy {
+        let busy = |own, waiting: Duration, limit, pace: u32| Refusal::Busy {
             own,
             waiting,
             limit,

@@ -9,6 +9,7 @@
 //!
 //! What a job asks for is text to this module; [`Work`] understands it. It knows nothing of HTTP.
 
+mod database;
 mod files;
 mod record;
 mod store;

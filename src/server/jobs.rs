@@ -141,7 +141,7 @@ async fn take(
     }
     let known = |points_in, points_out| {
         app.check_points(points_in, points_out)?;
-        app.engine.check_memory(Cost { points_in, points_out }).map_err(Problem::from_engine)
+        app.engine.check_memory(Cost { points_in, points_out }).map_err(Problem::Refused)
     };
     let Asking { parameters, query, received } = Asking::receive(upload, uri, headers, app, known).await?;
     let asked = Asked::of(query, headers);
@@ -177,7 +177,7 @@ fn new_job(
     let finite = prepared.request.cloud.positions.iter().filter(|p| p.iter().all(|c| c.is_finite())).count();
     let points_out = prepared.request.target.points_out(finite as u64)?;
     let cost = Cost { points_in: finite as u64, points_out };
-    app.engine.check_memory(cost).map_err(Problem::from_engine)?;
+    app.engine.check_memory(cost).map_err(Problem::Refused)?;
     let (input, held) = received.into_parts();
     let job = NewJob {
         request: asked.text(),

@@ -77,9 +77,7 @@ impl Work for Upsampling {
         let outcome = app.engine.submit_for(&caller, request, None).and_then(|job| task.wait(job)).map_err(
             |error| match error {
                 // Live requests have the points; a job can wait.
-                EngineError::Full { .. } | EngineError::Share { .. } | EngineError::Busy { .. } => {
-                    Stopped::Later
-                }
+                EngineError::Refused(refusal) if refusal.retry_after().is_some() => Stopped::Later,
                 EngineError::Cancelled => Stopped::Cancelled,
                 error => refused(Problem::from_engine(error)),
             },

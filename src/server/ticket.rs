@@ -74,8 +74,8 @@ impl Ticket {
         Ok(job)
     }
 
-    fn refused(&self, error: EngineError) -> Problem {
-        let problem = Problem::from_engine(error);
+    fn refused(&self, error: impl Into<EngineError>) -> Problem {
+        let problem = Problem::from_engine(error.into());
         self.app.metrics.refused(problem.outcome());
         problem
     }
