@@ -10,11 +10,11 @@ use std::fs::{self, File, TryLockError};
 use std::io::{self, Write};
 use std::path::Path;
 use std::sync::{Mutex, MutexGuard, PoisonError};
-use std::time::Duration;
 
-use rusqlite::{Connection, ErrorCode, OptionalExtension, Row, params};
+use rusqlite::{Connection, ErrorCode, OptionalExtension, params};
 use sha2::{Digest, Sha256};
 
+use super::database::{self, find, integer, json, load, natural, select, used};
 use super::files::{self, Files};
 use super::record::{Failure, NewJob, Record, ResultFile, State, Time};
 use crate::provenance::hexadecimal;
@@ -100,7 +100,7 @@ pub enum StoreError {
     #[error("another densecloud has this folder open")]
     Locked,
     /// Another version of the program made the database.
-    #[error("the database has version {0}, not {VERSION}")]
+    #[error("the database has version {0}, not {current}", current = database::VERSION)]
     Version(i64),
     /// Reading or writing a file failed.
     #[error(transparent)]
@@ -133,52 +133,6 @@ impl StoreError {
     }
 }
 
-const VERSION: i64 = 2;
-
-const SCHEMA: &str = "
-    CREATE TABLE jobs (
-        number INTEGER PRIMARY KEY AUTOINCREMENT,
-        id TEXT NOT NULL UNIQUE,
-        state TEXT NOT NULL,
-        request TEXT NOT NULL,
-        owner TEXT NOT NULL,
-        client TEXT NOT NULL,
-        key TEXT,
-        fingerprint TEXT NOT NULL,
-        request_id TEXT NOT NULL,
-        points_in INTEGER NOT NULL,
-        points_out INTEGER NOT NULL,
-        bytes INTEGER NOT NULL,
-        attempts INTEGER NOT NULL DEFAULT 0,
-        created INTEGER NOT NULL,
-        started INTEGER,
-        finished INTEGER,
-        result TEXT,
-        failure TEXT,
-        UNIQUE (owner, key)
-    ) STRICT;
-    CREATE INDEX jobs_by_state ON jobs (state, number);
-    CREATE INDEX jobs_by_end ON jobs (finished);
-    CREATE INDEX jobs_by_client ON jobs (client, started);
-    PRAGMA user_version = 2;";
-
-/// From version 1, which knew no clients: its jobs are nobody's, so whoever has to show a key does not see
-/// them.
-const FROM_1: (&str, &str) = (
-    "ALTER TABLE jobs RENAME TO old; DROP INDEX jobs_by_state; DROP INDEX jobs_by_end;",
-    "INSERT INTO jobs (number, id, state, request, owner, client, key, fingerprint, request_id, points_in, \
-         points_out, bytes, attempts, created, started, finished, result, failure)
-     SELECT number, id, state, request, '', '', key, fingerprint, request_id, points_in, points_out, bytes, \
-         attempts, created, started, finished, result, failure FROM old;
-     DROP TABLE old;",
-);
-
-const COLUMNS: &str = "number, id, state, request, owner, client, request_id, points_in, points_out, attempts, created, \
-                       started, finished, result, failure";
-
-/// How long a statement waits for another program that has the database for itself, which no backup does.
-const BUSY: Duration = Duration::from_millis(500);
-
 impl Store {
     /// Opens the folder, made where it is missing, and brings an older database up to date. Jobs that were
     /// running are queued again, those that were started `attempts` times already fail, and leftovers of
@@ -193,24 +147,7 @@ impl Store {
             TryLockError::WouldBlock => StoreError::Locked,
             TryLockError::Error(error) => error.into(),
         })?;
-        let mut connection = Connection::open(folder.join("jobs.sqlite"))?;
-        connection.busy_timeout(BUSY)?;
-        connection.pragma_update(None, "journal_mode", "WAL")?;
-        // A job that was accepted is on the disk, whatever happens next.
-        connection.pragma_update(None, "synchronous", "FULL")?;
-        let transaction = connection.transaction()?;
-        match transaction.query_row("PRAGMA user_version", [], |row| row.get(0))? {
-            0 => transaction.execute_batch(SCHEMA)?,
-            1 => {
-                let (before, after) = FROM_1;
-                for step in [before, SCHEMA, after] {
-                    transaction.execute_batch(step)?;
-                }
-            }
-            VERSION => {}
-            other => return Err(StoreError::Version(other)),
-        }
-        transaction.commit()?;
+        let connection = database::open(&folder.join("jobs.sqlite"))?;
         let store = Self { connection: Mutex::new(connection), files, bounds, _lock: lock };
         store.recover(attempts, now)?;
         Ok(store)
@@ -607,69 +544,4 @@ fn fingerprint(job: &NewJob) -> String {
     hash.update(&job.request);
     hash.update(&job.input);
     hexadecimal(&hash.finalize())
-}
-
-fn used(database: &Connection) -> Result<u64, StoreError> {
-    Ok(database.query_row("SELECT coalesce(sum(bytes), 0) FROM jobs", [], |row| row.get(0).map(natural))?)
-}
-
-fn load(database: &Connection, client: &str) -> Result<Load, StoreError> {
-    let sql = "SELECT count(*), coalesce(sum(points_out), 0), count(DISTINCT client), \
-               coalesce(sum(client = ?), 0) FROM jobs WHERE state IN ('queued', 'running')";
-    let number = |row: &Row<'_>, column: usize| row.get(column).map(natural);
-    Ok(database.query_row(sql, [client], |row| {
-        let (jobs, points) = (number(row, 0)?, number(row, 1)?);
-        Ok(Load { jobs, points, clients: number(row, 2)?, own: number(row, 3)? })
-    })?)
-}
-
-fn find(database: &Connection, id: &str) -> Result<Option<Record>, StoreError> {
-    Ok(select(database, "WHERE id = ?", [id])?.pop())
-}
-
-fn select(
-    database: &Connection,
-    which: &str,
-    values: impl rusqlite::Params,
-) -> Result<Vec<Record>, StoreError> {
-    let mut statement = database.prepare_cached(&format!("SELECT {COLUMNS} FROM jobs {which}"))?;
-    let rows = statement.query_map(values, record)?;
-    Ok(rows.collect::<Result<_, _>>()?)
-}
-
-fn record(row: &Row<'_>) -> rusqlite::Result<Record> {
-    let state: String = row.get(2)?;
-    let text = |column: usize| row.get::<_, Option<String>>(column);
-    Ok(Record {
-        number: row.get(0)?,
-        id: row.get(1)?,
-        // Cannot be another: only this file writes it.
-        state: State::of_name(&state).ok_or(rusqlite::Error::InvalidQuery)?,
-        request: row.get(3)?,
-        owner: row.get(4)?,
-        client: row.get(5)?,
-        request_id: row.get(6)?,
-        points_in: row.get(7).map(natural)?,
-        points_out: row.get(8).map(natural)?,
-        attempts: row.get(9)?,
-        created: row.get(10)?,
-        started: row.get(11)?,
-        finished: row.get(12)?,
-        result: text(13)?.and_then(|text| serde_json::from_str(&text).ok()),
-        failure: text(14)?.and_then(|text| serde_json::from_str(&text).ok()),
-    })
-}
-
-/// Strings and numbers only: there is nothing that JSON could not hold.
-fn json(value: &impl serde::Serialize) -> String {
-    serde_json::to_string(value).unwrap_or_default()
-}
-
-/// SQLite has signed numbers alone.
-fn integer(number: u64) -> i64 {
-    number.try_into().unwrap_or(i64::MAX)
-}
-
-fn natural(number: i64) -> u64 {
-    number.try_into().unwrap_or(0)
 }
