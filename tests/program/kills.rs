@@ -1,99 +1,29 @@
 //! `densecloud serve --data-dir` ended with SIGKILL at random moments under a load of jobs, again and
 //! again: no job that was accepted is lost, none is done twice, and no result is anything but whole.
 //!
-//! `DENSECLOUD_KILLS=200 cargo test --test server_kills` takes minutes; without it there are a few.
+//! `DENSECLOUD_KILLS=200 cargo test --test program kills` takes minutes; without it there are a few.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::hash::{BuildHasher, RandomState};
-use std::io::{BufRead, BufReader};
 use std::path::Path;
-use std::process::{Child, Command, Stdio};
-use std::sync::mpsc::{Receiver, channel};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use serde_json::Value;
 use ureq::Agent;
 
-/// Longer than anything here takes.
-const PATIENCE: Duration = Duration::from_secs(120);
+use crate::support::{PATIENCE, Serving, agent, densecloud, sphere};
 
-fn densecloud() -> Command {
-    Command::new(env!("CARGO_BIN_EXE_densecloud"))
-}
-
-/// The program, until it is killed.
-struct Serving {
-    child: Child,
-    log: Receiver<Value>,
-    url: String,
-    /// Jobs that it says it has done, each as often as it does.
-    done: Arc<Mutex<Vec<String>>>,
-}
-
-impl Serving {
-    fn start(data: &Path, done: &Arc<Mutex<Vec<String>>>) -> Self {
-        let mut child = densecloud()
-            .args(["serve", "--port", "0", "--log-format", "json", "--threads", "1"])
-            // So many that no job is given up for being unlucky.
-            .args(["--job-attempts", "1000000", "--data-dir"])
-            .arg(data)
-            .stderr(Stdio::piped())
-            .spawn()
-            .expect("the program starts");
-        let lines = BufReader::new(child.stderr.take().expect("piped")).lines();
-        let (sender, log) = channel();
-        let seen = Arc::clone(done);
-        std::thread::spawn(move || {
-            // The last line may be cut off, like the program.
-            for event in
-                lines.map_while(Result::ok).filter_map(|line| serde_json::from_str::<Value>(&line).ok())
-            {
-                let fields = event["fields"].clone();
-                if fields["message"] == "job done" {
-                    seen.lock().expect("no panic").push(fields["job"].as_str().expect("an id").to_owned());
-                }
-                let _ = sender.send(fields);
-            }
-        });
-        let mut serving = Self { child, log, url: String::new(), done: Arc::clone(done) };
-        let address = serving.wait_for("listening")["address"].as_str().expect("an address").to_owned();
-        serving.url = format!("http://{address}");
-        serving
-    }
-
-    fn wait_for(&self, message: &str) -> Value {
-        loop {
-            let fields = self.log.recv_timeout(PATIENCE).unwrap_or_else(|e| panic!("no {message:?}: {e}"));
-            if fields["message"] == message {
-                return fields;
-            }
+/// Starts it; `done` gets the jobs that it says it has done, each as often as it does.
+fn start(data: &Path, done: &Arc<Mutex<Vec<String>>>) -> Serving {
+    let done = Arc::clone(done);
+    // So many attempts that no job is given up for being unlucky.
+    let options = ["--job-attempts", "1000000", "--data-dir", data.to_str().expect("UTF-8")];
+    Serving::launch(densecloud(), &options, move |event| {
+        if event["message"] == "job done" {
+            done.lock().expect("no panic").push(event["job"].as_str().expect("an id").to_owned());
         }
-    }
-
-    fn kill(mut self) {
-        self.child.kill().expect("it runs");
-        self.child.wait().expect("an end");
-        // What it said before is read by now, or soon.
-        while self.log.recv_timeout(PATIENCE).is_ok() {}
-    }
-}
-
-impl Drop for Serving {
-    fn drop(&mut self) {
-        // Mostly it has ended already.
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-    }
-}
-
-fn text(points: usize) -> String {
-    let point = |i: usize| {
-        let z = 1.0 - (2 * i + 1) as f64 / points as f64;
-        let (r, angle) = ((1.0 - z * z).sqrt(), i as f64 * 2.399_963);
-        format!("{:.6} {:.6} {z:.6}\n", 500_000.0 + r * angle.cos(), r * angle.sin())
-    };
-    (0..points).map(point).collect()
+    })
 }
 
 /// A cloud, what is asked for, and what the command line makes of it.
@@ -108,7 +38,7 @@ impl Variant {
 
     fn make(folder: &Path, seed: usize) -> Self {
         let (from, to) = (folder.join("in.xyz"), folder.join("out.xyz"));
-        let input = text(250 + 100 * seed);
+        let input = sphere(250 + 100 * seed);
         std::fs::write(&from, &input).expect("a file");
         let mut command = densecloud();
         command.arg("upsample").args([&from, &to]).args([
@@ -206,17 +136,13 @@ fn no_kill_loses_a_job_or_does_one_twice() {
     let folder = tempfile::tempdir().expect("a folder");
     let variants: Vec<_> = (0..4).map(|seed| Variant::make(folder.path(), seed)).collect();
     let data = folder.path().join("data");
-    let agent = Agent::config_builder()
-        .http_status_as_error(false)
-        .timeout_global(Some(PATIENCE))
-        .build()
-        .new_agent();
+    let agent = agent();
     let logged = Arc::new(Mutex::new(Vec::new()));
     let mut known = Known::default();
     let (mut cold, mut busy) = (0, 0);
     for _ in 0..rounds {
-        let serving = Serving::start(&data, &logged);
-        let url = serving.url.clone();
+        let serving = start(&data, &logged);
+        let url = serving.url("");
         // Some are killed while they warm up and look after what is left of the last.
         if random(4) == 0 {
             cold += 1;
@@ -244,9 +170,9 @@ fn no_kill_loses_a_job_or_does_one_twice() {
             client.join().expect("the client is content");
         });
     }
-    let mut serving = Serving::start(&data, &logged);
+    let serving = start(&data, &logged);
     serving.wait_for("ready");
-    let url = serving.url.clone();
+    let url = serving.url("");
     load(&agent, &url, &variants, &mut known, 4);
     let start = Instant::now();
     while known.done.len() < known.accepted.len() {
@@ -262,10 +188,9 @@ fn no_kill_loses_a_job_or_does_one_twice() {
     };
     assert_eq!(outputs().filter(|name| name.ends_with(".out")).count(), places.len());
     assert_eq!(outputs().count(), places.len(), "nothing else is left");
-    let sent = Command::new("kill").args(["-s", "TERM", &serving.child.id().to_string()]).status();
-    assert!(sent.expect("kill is there").success());
-    assert_eq!(serving.child.wait().expect("an end").code(), Some(0));
-    let logged = serving.done.lock().expect("no panic").clone();
+    serving.signal("TERM");
+    assert_eq!(serving.end().code(), Some(0));
+    let logged = logged.lock().expect("no panic").clone();
     let once: BTreeSet<_> = logged.iter().collect();
     assert_eq!(once.len(), logged.len(), "a job was done twice");
     let interrupted = known.done.values().filter(|job| job["attempts"] != 1).count();

@@ -1,0 +1,10 @@
+//! `densecloud serve` as a process, with the model inside it and clients from elsewhere.
+
+mod command;
+mod faults;
+mod hostile;
+mod kills;
+mod remote;
+mod settings;
+mod signals;
+mod support;

@@ -1,0 +1,64 @@
+//! Settings: where they come from, and what is wrong with them.
+
+use crate::support::{Serving, densecloud, run, sphere};
+
+#[test]
+fn a_file_sets_what_nothing_stronger_sets() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = folder.path().join("densecloud.toml");
+    // The options of every test here are given, too: a port of zero, one thread, JSON.
+    std::fs::write(&file, "max-points-in = 50\nmax-points-out = 100\nport = 1\nlog-format = \"text\"\n")
+        .expect("a file");
+    let mut command = densecloud();
+    command.env("DENSECLOUD_CONFIG", &file).env("DENSECLOUD_MAX_POINTS_OUT", "150");
+    let serving = Serving::start_from(command, &[]);
+    let refusal = |points: usize, ratio: u32| {
+        let mut answer = serving.post(&format!("/upsample?ratio={ratio}"), sphere(points).as_bytes());
+        answer.body_mut().read_to_string().expect("text")
+    };
+    assert!(refusal(51, 2).contains("more than 50;"), "{}", refusal(51, 2));
+    assert!(refusal(40, 4).contains("\"limit\":150"), "{}", refusal(40, 4));
+}
+
+#[test]
+fn settings_are_checked_before_a_port_is_bound() {
+    for (arguments, named) in [
+        (&["serve", "--max-points-in", "0"][..], "--max-points-in"),
+        (&["serve", "--max-held-bytes", "5"], "--max-held-bytes"),
+        (&["serve", "--log", "=loud="], "--log"),
+        (&["serve", "--stall-timeout", "soon"], "--stall-timeout"),
+        (&["serve", "--max-memory", "much"], "--max-memory"),
+        (&["serve", "--open", "doors"], "--open"),
+        (&["serve", "--keys", "/nowhere/keys"], "/nowhere/keys"),
+        (&["serve", "--keys", concat!(env!("CARGO_MANIFEST_DIR"), "/LICENSE-MIT")], "line 1"),
+        (&["serve", "--no-such-option"], "--no-such-option"),
+        (&["serve", "--model", "/nowhere"], "--model"),
+        (&["serve", "--data-dir", "Cargo.toml"], "--data-dir"),
+        (&["serve", "--data-dir", "Cargo.toml/jobs"], "--data-dir"),
+        (&["serve", "--config", "/nowhere.toml"], "/nowhere.toml"),
+        (&["serve", "--config", "Cargo.toml"], "Cargo.toml:1: no setting is called `package`"),
+        (&["serve", "--cors-origin", "example.org"], "https://example.org"),
+        (&["serve", "--cors-origin", "*,https://example.org"], "--cors-origin"),
+        (&["serve", "--print-config", "--max-points-in", "0"], "--max-points-in"),
+        (&["no-such-command"], "no-such-command"),
+    ] {
+        let output = run(arguments);
+        let stderr = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(64), "{stderr}");
+        assert!(stderr.contains(named), "{stderr}");
+    }
+}
+
+#[test]
+fn a_port_that_is_taken_is_named() {
+    let taken = std::net::TcpListener::bind("127.0.0.1:0").expect("a port");
+    let port = taken.local_addr().expect("an address").port().to_string();
+    let output = run(&["serve", "--port", &port, "--log-format", "json"]);
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{stderr}");
+    let events = stderr.lines().filter_map(|line| serde_json::from_str::<serde_json::Value>(line).ok());
+    let failed = events.map(|event| event["fields"].clone()).find(|fields| fields["message"] == "failed");
+    let why = failed.as_ref().and_then(|fields| fields["why"].as_str()).unwrap_or_else(|| panic!("{stderr}"));
+    assert!(why.contains(&port) && why.contains("--port"), "{why}");
+    assert!(stderr.contains(&format!("densecloud: {why}")), "people read it, too: {stderr}");
+}

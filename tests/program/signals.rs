@@ -1,0 +1,103 @@
+//! The end of the program: by a signal, by two, and as a service manager sees it.
+
+use std::io::{Read, Write};
+use std::net::TcpStream;
+
+use crate::support::{PATIENCE, Serving, agent, densecloud, request, sphere, wide_sphere};
+
+#[test]
+fn a_second_signal_ends_it_at_once() {
+    let serving = Serving::start(&[]);
+    let url = serving.url("/upsample?ratio=64");
+    // Minutes of work for one thread.
+    let client = std::thread::spawn(move || ureq::post(url).send(sphere(5000).as_bytes()).is_err());
+    serving.wait_for_metric("densecloud_queue_points 320000");
+    serving.signal("TERM");
+    serving.wait_for("draining");
+    serving.signal("INT");
+    assert_eq!(serving.end().code(), Some(130));
+    assert!(client.join().expect("no panic"), "the request was not answered");
+}
+
+#[test]
+fn between_the_signal_and_the_end_of_its_lead_it_serves_but_says_not_ready() {
+    let serving = Serving::start(&["--drain-lead", "600"]);
+    serving.signal("TERM");
+    serving.wait_for("leaving: not ready any more, still serving");
+    let agent = agent();
+    assert_eq!(agent.get(serving.url("/readyz")).call().expect("an answer").status(), 503);
+    assert_eq!(agent.get(serving.url("/healthz")).call().expect("an answer").status(), 200);
+    assert_eq!(serving.post("/upsample?ratio=2", sphere(100).as_bytes()).status(), 200);
+    serving.signal("TERM");
+    assert_eq!(serving.end().code(), Some(143), "the second signal ends it");
+    let serving = Serving::start(&["--drain-lead", "0.1"]);
+    serving.signal("INT");
+    serving.wait_for("leaving: not ready any more, still serving");
+    serving.wait_for("draining");
+    serving.wait_for("stopped");
+    assert_eq!(serving.end().code(), Some(0));
+}
+
+#[test]
+fn a_service_manager_is_told_of_the_beginning_and_the_end() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("notify");
+    let socket = std::os::unix::net::UnixDatagram::bind(&path).expect("a socket");
+    socket.set_read_timeout(Some(PATIENCE)).expect("a timeout");
+    let told = || {
+        let mut buffer = [0; 64];
+        let length = socket.recv(&mut buffer).expect("a message");
+        String::from_utf8_lossy(&buffer[..length]).trim().to_owned()
+    };
+    let mut command = densecloud();
+    command.env("NOTIFY_SOCKET", &path);
+    let serving = Serving::start_from(command, &[]);
+    assert_eq!(told(), "READY=1");
+    serving.signal("TERM");
+    assert_eq!(told(), "STOPPING=1");
+    assert_eq!(serving.end().code(), Some(0));
+}
+
+#[test]
+fn a_signal_in_the_middle_of_answers_breaks_none_of_them() {
+    let serving = Serving::start(&["--drain-timeout", "120"]);
+    let connect = || {
+        let stream = TcpStream::connect(&serving.address).expect("a connection");
+        stream.set_read_timeout(Some(PATIENCE)).expect("a socket");
+        stream
+    };
+    // 13 MB each, more than the system buffers.
+    let request = request("/upsample?ratio=16", "", &wide_sphere(1000, 100));
+    let mut clients = Vec::new();
+    // Two that are being sent, and are read no further for now.
+    for _ in 0..2 {
+        let mut stream = connect();
+        stream.write_all(&request).expect("sent");
+        let mut start = vec![0; 12];
+        stream.read_exact(&mut start).expect("an answer");
+        clients.push((stream, start));
+    }
+    // One that waits for the one thread, or is worked on; and one that is being received.
+    let mut waiting = connect();
+    waiting.write_all(&request).expect("sent");
+    clients.push((waiting, Vec::new()));
+    let mut uploading = connect();
+    uploading.write_all(&request[..request.len() / 2]).expect("sent");
+    serving.wait_for_metric("densecloud_requests_in_flight 4");
+    serving.signal("TERM");
+    serving.wait_for("draining");
+    uploading.write_all(&request[request.len() / 2..]).expect("sent");
+    clients.push((uploading, Vec::new()));
+    let mut bodies = Vec::new();
+    for (mut stream, mut answer) in clients {
+        stream.read_to_end(&mut answer).expect("the whole answer");
+        let end = answer.windows(4).position(|w| w == b"\r\n\r\n").expect("a head") + 4;
+        let head = String::from_utf8_lossy(&answer[..end]).into_owned();
+        assert!(head.starts_with("HTTP/1.1 200"), "{head}");
+        let body = answer.split_off(end);
+        assert!(head.contains(&format!("content-length: {}\r\n", body.len())), "{head}");
+        bodies.push(body);
+    }
+    assert!(bodies.iter().all(|body| *body == bodies[0]) && bodies[0].len() > 12 << 20);
+    assert_eq!(serving.end().code(), Some(0));
+}
