@@ -308,6 +308,7 @@ fn evaluate_says_what_is_missing() {
         (vec!["--reference", &references], 64, "--pred"),
         (vec!["--pred", &inputs, "--reference", &references, "--controls"], 64, "--mesh"),
         (vec!["--pred", &inputs, "--reference", &references, "--ratio", "4"], 64, "--ratio"),
+        (vec!["--pred", &inputs, "--reference", &references, "--overlap", "3"], 64, "--overlap"),
         (vec!["--input", &inputs, "--reference", &references, "--ratio", "65"], 64, "65"),
         (vec!["--pred", &inputs, "--reference", &references, "--tolerance", "0"], 64, "--tolerance"),
         (vec!["--pred", &inputs, "--reference", &references, "--shapes", "cow"], 1, "`cow`"),

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 
 use super::CliError;
+use super::cascade_args::CascadeArgs;
 use super::engine_args::EngineArgs;
 use super::files;
 use crate::attributes::Finish;
@@ -29,7 +30,7 @@ Examples:
   densecloud evaluate --pred a.ply --reference b.ply --json -")]
 pub(super) struct EvaluateArgs {
     /// Folder of dense clouds to score, or one; without it, the cascade makes them from --input
-    #[arg(long, value_name = "PATH", required_unless_present = "input")]
+    #[arg(long, value_name = "PATH", required_unless_present = "input", conflicts_with_all = CascadeArgs::ALL)]
     pred: Option<PathBuf>,
 
     /// Folder of reference clouds, or one: dense samples of the true surface
@@ -65,25 +66,8 @@ pub(super) struct EvaluateArgs {
     #[arg(long, default_value_t = 0)]
     seed: u64,
 
-    /// How many patches each point lies in, on average, when the cascade is run
-    #[arg(long, value_name = "X", default_value_t = cascade::Settings::default().overlap, conflicts_with = "pred")]
-    overlap: f64,
-
-    /// Share of each patch, around its centre, whose points are kept: 1 keeps all
-    #[arg(long, value_name = "X", default_value_t = cascade::Settings::default().inner, conflicts_with = "pred")]
-    inner: f64,
-
-    /// Leave out points moved further than this many spacings from their source; `inf` keeps all
-    #[arg(long, value_name = "X", default_value_t = cascade::Settings::default().max_displacement, conflicts_with = "pred")]
-    max_displacement: f64,
-
-    /// Leave out points further from the input than this many times what nine in ten keep to; `inf` keeps all
-    #[arg(long, value_name = "X", default_value_t = cascade::Settings::default().max_distance, conflicts_with = "pred")]
-    max_distance: f64,
-
-    /// Keep what the network made as it is: less even, less smooth, and each point an output of the network
-    #[arg(long, conflicts_with = "pred")]
-    no_polish: bool,
+    #[command(flatten)]
+    cascade: CascadeArgs,
 
     /// Write everything as JSON to a file; `-` for standard output, in place of the tables
     #[arg(long, value_name = "FILE")]
@@ -139,14 +123,7 @@ pub(super) fn run(args: &EvaluateArgs) -> Result<(), CliError> {
     let meshes = matching(&mesh).map_err(failed)?;
     let inputs = matching(&input).map_err(failed)?;
 
-    let settings = cascade::Settings {
-        overlap: args.overlap,
-        inner: args.inner,
-        max_displacement: args.max_displacement,
-        max_distance: args.max_distance,
-        polish: !args.no_polish,
-        seed: args.seed,
-    };
+    let settings = args.cascade.settings(args.seed);
     let cascade = match args.pred {
         None => Some(Cascade { engine: args.engine.engine(args.engine.model()?)?, target, settings }),
         Some(_) => None,
@@ -159,11 +136,11 @@ pub(super) fn run(args: &EvaluateArgs) -> Result<(), CliError> {
                 model,
                 model_sha256,
                 ratio,
-                overlap: args.overlap,
-                inner: args.inner,
-                max_displacement: args.max_displacement,
-                max_distance: args.max_distance,
-                polish: !args.no_polish,
+                overlap: settings.overlap,
+                inner: settings.inner,
+                max_displacement: settings.max_displacement,
+                max_distance: settings.max_distance,
+                polish: settings.polish,
             })
         }
         Some(_) => None,

@@ -7,10 +7,11 @@ use std::time::{Duration, Instant};
 use clap::{ArgGroup, Args, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
 
+use super::cascade_args::CascadeArgs;
 use super::engine_args::EngineArgs;
 use super::{CliError, files, upsample_remote};
 use crate::attributes::{Finish, Rules};
-use crate::cascade::{Settings, Target};
+use crate::cascade::Target;
 use crate::cloud::Position;
 use crate::engine::{EngineError, Job, Outcome, ProgressHandle, Request};
 use crate::formats::Format;
@@ -71,26 +72,8 @@ pub(super) struct UpsampleArgs {
     #[arg(long, default_value_t = 0)]
     pub(super) seed: u64,
 
-    /// How many patches each point lies in, on average: more is slower
-    #[arg(long, value_name = "X", default_value_t = Settings::default().overlap)]
-    overlap: f64,
-
-    /// Share of each patch, around its centre, whose points are kept: 1 keeps all
-    #[arg(long, value_name = "X", default_value_t = Settings::default().inner)]
-    inner: f64,
-
-    /// Leave out points moved further than this many spacings from their source; `inf` keeps all
-    #[arg(long, value_name = "X", default_value_t = Settings::default().max_displacement)]
-    max_displacement: f64,
-
-    /// Leave out points further from the input than this many times what nine in ten keep to, and points beyond its
-    /// open borders; `inf` keeps all
-    #[arg(long, value_name = "X", default_value_t = Settings::default().max_distance)]
-    max_distance: f64,
-
-    /// Keep what the network made as it is: less even, less smooth, and each point an output of the network
-    #[arg(long)]
-    no_polish: bool,
+    #[command(flatten)]
+    cascade: CascadeArgs,
 
     /// How new points come by their attributes, by name: mean (of the nearest), nearest or drop, such as
     /// `label:nearest,curvature:drop` [default: by name and type]
@@ -102,11 +85,7 @@ pub(super) struct UpsampleArgs {
     pub(super) quiet: bool,
 
     /// Have a server do the work; it has its own model and threads
-    #[arg(
-        long,
-        value_name = "URL",
-        conflicts_with_all = ["overlap", "inner", "max_displacement", "max_distance", "no_polish"]
-    )]
+    #[arg(long, value_name = "URL", conflicts_with_all = CascadeArgs::ALL)]
     server: Option<String>,
 
     /// The key that opens the server, where it asks for one
@@ -175,14 +154,7 @@ pub(super) fn run(args: &UpsampleArgs) -> Result<(), CliError> {
         let points = target.points_out(survey.finite as u64).unwrap_or_default();
         format = format.fine_enough(survey.bounds, survey.result_spacing(points));
     }
-    let settings = Settings {
-        overlap: args.overlap,
-        inner: args.inner,
-        max_displacement: args.max_displacement,
-        max_distance: args.max_distance,
-        polish: !args.no_polish,
-        seed: args.seed,
-    };
+    let settings = args.cascade.settings(args.seed);
     let model = args.engine.model()?;
     let name = model.name();
     let engine = args.engine.engine(model)?;
