@@ -25,6 +25,8 @@ pub(super) struct XyzReader {
     /// By their places in a line.
     others: Vec<(usize, Column)>,
     names: Option<Vec<String>>,
+    /// The line before the points, where it has no number and does not name `x`, `y` and `z` either.
+    title: Option<String>,
 }
 
 /// A column as it is read: whole numbers for as long as there is nothing else.
@@ -42,8 +44,14 @@ impl XyzReader {
         source: &mut Source<R>,
         limits: Limits,
     ) -> Result<(Self, Header), FormatError> {
-        let mut reader =
-            Self { columns: [0, 1, 2], claimed: None, first: None, others: Vec::new(), names: None };
+        let mut reader = Self {
+            columns: [0, 1, 2],
+            claimed: None,
+            first: None,
+            others: Vec::new(),
+            names: None,
+            title: None,
+        };
         let mut names: Option<Vec<String>> = None;
         let mut width = 3;
         let mut separator = Separator::Space;
@@ -61,7 +69,10 @@ impl XyzReader {
             let Some(first) = fields.first() else { continue };
             if names.is_none() && parse_f64(first).is_none() {
                 let found: Vec<String> = fields.iter().map(|f| column_name(f)).collect();
-                reader.columns = named_axes(&found).unwrap_or(reader.columns);
+                match named_axes(&found) {
+                    Some(columns) => reader.columns = columns,
+                    None => reader.title = Some(shown(line.trim_ascii())),
+                }
                 names = Some(found);
             } else if let (1, None, Some(count)) = (fields.len(), reader.claimed, as_count(first)) {
                 reader.claimed = Some(count);
@@ -74,7 +85,8 @@ impl XyzReader {
                 };
                 reader.others =
                     (0..width).filter(|i| !reader.columns.contains(i)).map(|i| (i, Column::new())).collect();
-                reader.first = Some(row(reader.columns, &mut reader.others, source, line)?);
+                let first = row(reader.columns, &mut reader.others, source, line);
+                reader.first = Some(first.map_err(|error| reader.no_table(error))?);
                 break;
             }
         }
@@ -93,6 +105,18 @@ impl XyzReader {
         Ok((reader, header))
     }
 
+    /// A first point that is none, where the line before it speaks of no points either: likely a page, a log, or a
+    /// program's settings.
+    fn no_table(&self, error: FormatError) -> FormatError {
+        match (error, &self.title) {
+            (FormatError::Malformed { at, why }, Some(title)) => {
+                let why = format!("{why}, and {title} before it does not name columns x, y and z");
+                FormatError::Malformed { at, why }
+            }
+            (error, _) => error,
+        }
+    }
+
     fn name(&self, column: usize) -> String {
         self.names.as_ref().map_or_else(|| format!("column {}", column + 1), |n| n[column].clone())
     }
@@ -104,6 +128,10 @@ impl XyzReader {
         limits: Limits,
     ) -> Result<Cloud, FormatError> {
         let mut positions: Vec<Position> = Vec::from_iter(self.first);
+        if let (None, Some(title)) = (self.first, &self.title) {
+            let found = format!("text without a line of numbers, which begins with {title}");
+            return Err(FormatError::Unrecognised { found });
+        }
         while let Some(range) = source.next_line()? {
             let line = strip_comment(source.bytes(range));
             if line.iter().all(u8::is_ascii_whitespace) {
