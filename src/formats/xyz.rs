@@ -14,7 +14,8 @@ pub(super) const MAX_COLUMNS: usize = 1000;
 ///
 /// Columns are separated by white space, a comma or a semicolon; `#` and `//` begin comments; blank
 /// lines are skipped. A first line that does not begin with a number names the columns: if `x`, `y`
-/// and `z` are among the names, these columns are the position, else the first three are. A line with
+/// and `z` are among the names, these columns are the position, and there are as many columns as names or more;
+/// else the first three are, and the names count where there are as many as columns. A line with
 /// one whole number before the first point counts the points (`.pts`). Every other column of the first
 /// point is an attribute; where nothing names them, three columns of bytes are `red`, `green` and
 /// `blue` (one before them `intensity`), and three that make unit vectors `nx`, `ny` and `nz`.
@@ -77,7 +78,11 @@ impl XyzReader {
             } else if let (1, None, Some(count)) = (fields.len(), reader.claimed, as_count(first)) {
                 reader.claimed = Some(count);
             } else {
-                width = fields.len();
+                // Behind the last separator there may be nothing, for a field that is empty.
+                width = match &names {
+                    Some(names) if reader.title.is_none() => names.len().max(fields.len()),
+                    _ => fields.len(),
+                };
                 separator = match line {
                     _ if line.contains(&b',') => Separator::Comma,
                     _ if line.contains(&b';') => Separator::Semicolon,
@@ -95,7 +100,7 @@ impl XyzReader {
         {
             return Err(FormatError::TooManyPoints { points, limit });
         }
-        reader.names = names.filter(|n| n.len() == width);
+        reader.names = names.filter(|n| reader.title.is_none() || n.len() == width);
         let header = Header {
             format: Format::Xyz { names: reader.names.is_some(), separator },
             points: reader.claimed,
@@ -118,7 +123,8 @@ impl XyzReader {
     }
 
     fn name(&self, column: usize) -> String {
-        self.names.as_ref().map_or_else(|| format!("column {}", column + 1), |n| n[column].clone())
+        let name = self.names.as_ref().and_then(|names| names.get(column));
+        name.cloned().unwrap_or_else(|| format!("column {}", column + 1))
     }
 
     /// Reads the rest.

@@ -82,6 +82,29 @@ fn values_that_are_no_numbers_are_read_as_such() {
 }
 
 #[test]
+fn columns_that_begin_empty_or_have_no_name_are_columns() {
+    let attributes = |text: &str| -> Vec<(String, Vec<f64>)> {
+        let cloud = read(text.as_bytes()).expect("a cloud");
+        let values = |a: &Attribute| (0..a.values.len()).map(|i| a.values.get(i)).collect();
+        cloud.attributes.iter().map(|a| (a.name.clone(), values(a))).collect()
+    };
+    // Empty in the first row, and missing from it.
+    for first in ["1,2,3,7,", "1,2,3,7"] {
+        let found = attributes(&format!("x,y,z,label,w\n{first}\n4,5,6,8,0.5\n"));
+        assert_eq!(found[0], ("label".to_owned(), vec![7.0, 8.0]));
+        assert_eq!((found[1].0.as_str(), found[1].1[1], found[1].1[0].is_nan()), ("w", 0.5, true));
+    }
+    assert_eq!(
+        attributes("x,y,z,label\n1,2,3,7,0.5\n"),
+        [("label".to_owned(), vec![7.0]), ("column 5".to_owned(), vec![0.5])]
+    );
+    // Every line ends like this in some programs' files.
+    assert_eq!(attributes("x,y,z,\n1,2,3,\n"), []);
+    assert_eq!(attributes("1,2,3,\n4,5,6,\n"), []);
+    assert_eq!(attributes("a survey of mine\n1 2 3\n"), []);
+}
+
+#[test]
 fn broken_lines_are_named() {
     for (text, what) in [
         ("1 2 3\n1 two 3\n", "line 2: `two` is not a number"),
