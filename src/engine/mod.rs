@@ -226,7 +226,8 @@ impl Engine {
         self.inner.queue.admit(caller, cost)
     }
 
-    /// Whether [`Engine::reserve`] would do so; takes nothing.
+    /// Whether [`Engine::reserve`] would do so for a request of which no more is known; takes nothing. A refusal's time
+    /// is that of one as large as those before it.
     ///
     /// # Errors
     /// The same.

@@ -290,7 +290,13 @@ impl Queue {
 
     /// Whether a request could be admitted, were it this small.
     pub(super) fn would_admit(&self, caller: &Caller, cost: Cost) -> Result<(), Refusal> {
-        self.check(&mut self.lock(), caller, cost)
+        let mut state = self.lock();
+        let Err(refusal) = self.check(&mut state, caller, cost) else { return Ok(()) };
+        // How large it is nobody knows yet. It will hardly be the smallest there is, for which room comes soonest.
+        let requests: u64 = state.clients.values().flatten().map(|load| load.requests).sum();
+        let typical = Cost { points_out: cost.points_out.max(state.points / requests.max(1)), ..cost };
+        let later = self.check(&mut state, caller, typical).err().and_then(|refusal| refusal.retry_after());
+        Err(refusal.no_sooner(later))
     }
 
     /// Whether one request alone is within the bound of memory.

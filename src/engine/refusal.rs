@@ -7,11 +7,11 @@ use std::time::Duration;
 pub enum Refusal {
     /// The queue is full.
     #[error(
-        "{queued} points are queued or being worked on, and this request would add {wanted}, above the limit \
+        "{queued} points are queued or being worked on, and this request would add at least {wanted}, above the limit \
          of {limit}"
     )]
     Full {
-        /// Points out that this request would give.
+        /// Points out that this request would give, or the fewest that it can.
         wanted: u64,
         /// Points out already admitted.
         queued: u64,
@@ -22,11 +22,11 @@ pub enum Refusal {
     },
     /// The client's share of the queue is used up.
     #[error(
-        "{used} points of yours are queued or being worked on, and this request would add {wanted}, above \
+        "{used} points of yours are queued or being worked on, and this request would add at least {wanted}, above \
          your share of {limit}"
     )]
     Share {
-        /// Points out that this request would give.
+        /// Points out that this request would give, or the fewest that it can.
         wanted: u64,
         /// Points out that the client has admitted.
         used: u64,
@@ -74,6 +74,21 @@ pub enum Refusal {
 }
 
 impl Refusal {
+    /// The same, with a time that is no sooner than this.
+    pub(super) fn no_sooner(mut self, than: Option<Duration>) -> Self {
+        if let (
+            Self::Full { retry_after, .. }
+            | Self::Share { retry_after, .. }
+            | Self::Busy { retry_after, .. }
+            | Self::Late { retry_after, .. },
+            Some(than),
+        ) = (&mut self, than)
+        {
+            *retry_after = than.max(*retry_after);
+        }
+        self
+    }
+
     /// When the same request may be taken; nothing where it never will be.
     #[must_use]
     pub fn retry_after(&self) -> Option<Duration> {

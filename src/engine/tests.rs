@@ -230,6 +230,9 @@ fn retry_after_grows_with_what_waits() {
     let _permit = engine.reserve(&caller("a"), cost(100_000, 400_000)).unwrap();
     let (small, large) = (retry(&engine, 40_000), retry(&engine, 400_000));
     assert!(small > Duration::from_secs(1) && large > 9 * small, "{small:?} {large:?}");
+    // Of one whose size is not known: as large as the others.
+    let Err(refused) = engine.would_admit(&caller("b"), cost(1, 1)) else { panic!("there is no room") };
+    assert!(refused.retry_after().is_some_and(|unknown| unknown > 9 * small), "{refused:?}");
     assert!(large <= engine.backlog());
 }
 
