@@ -1,7 +1,7 @@
 //! `densecloud serve`: the HTTP server.
 
 use std::io::{self, IsTerminal};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::exit;
 use std::sync::Arc;
 use std::time::Duration;
@@ -147,10 +147,19 @@ enum LogFormat {
 /// that one long parse does not hold up the others.
 const BLOCKING_THREADS: usize = 16;
 
+/// Makes a folder, where it is missing, that nobody else on the machine can look into.
+fn private_folder(folder: &Path) -> io::Result<()> {
+    let mut builder = std::fs::DirBuilder::new();
+    builder.recursive(true);
+    #[cfg(unix)]
+    std::os::unix::fs::DirBuilderExt::mode(&mut builder, 0o700);
+    builder.create(folder)
+}
+
 pub(super) fn run(args: &ServeArgs) -> Result<(), CliError> {
     let Checked { config, model, filter } = args.check()?;
     if let Some(jobs) = &config.jobs {
-        std::fs::create_dir_all(&jobs.folder).map_err(|error| {
+        private_folder(&jobs.folder).map_err(|error| {
             let folder = jobs.folder.display();
             CliError::Usage(format!("--data-dir {folder}: {error}; give it a folder that can be written to"))
         })?;
@@ -203,6 +212,7 @@ impl ServeArgs {
     /// # Errors
     /// [`CliError::Usage`] with the setting and what to do, for all that the settings are to blame for.
     pub(super) fn check(&self) -> Result<Checked, CliError> {
+        self.access.check()?;
         let mut config = self.config();
         config.access.keys = self.access.keys()?;
         config.validate().map_err(|e| CliError::Usage(e.to_string()))?;
@@ -300,7 +310,7 @@ struct AccessArgs {
     #[arg(long, env = "DENSECLOUD_KEYS", value_name = "FILE")]
     keys: Option<PathBuf>,
 
-    /// What needs no key: health, metrics, docs, with commas between; or none
+    /// What needs no key, with commas between
     #[arg(
         long,
         env = "DENSECLOUD_OPEN",
@@ -330,7 +340,7 @@ enum Open {
 impl AccessArgs {
     /// But for the keys, which are in a file.
     fn access(&self) -> Access {
-        let open = |what| self.open.contains(&what) && !self.open.contains(&Open::None);
+        let open = |what| self.open.contains(&what);
         Access {
             keys: None,
             open_health: open(Open::Health),
@@ -338,6 +348,13 @@ impl AccessArgs {
             open_docs: open(Open::Docs),
             trust_forwarded: self.trust_forwarded,
         }
+    }
+
+    fn check(&self) -> Result<(), CliError> {
+        if self.open.contains(&Open::None) && self.open.iter().any(|what| *what != Open::None) {
+            return Err(CliError::Usage("--open: none goes with nothing else; leave one of them out".into()));
+        }
+        Ok(())
     }
 
     fn keys(&self) -> Result<Option<Arc<Keys>>, CliError> {

@@ -92,7 +92,8 @@ pub(super) fn router(app: Arc<App>) -> Router {
         .fallback(|| async { Problem::NotFound })
         .method_not_allowed_fallback(|| async { Problem::MethodNotAllowed })
         .layer(middleware::from_fn_with_state(Arc::clone(&app), client::identify))
-        .layer(middleware::from_fn_with_state(Arc::clone(&app), compress::compress));
+        .layer(middleware::from_fn_with_state(Arc::clone(&app), compress::compress))
+        .layer(middleware::from_fn_with_state(Arc::clone(&app), cors::keep_out));
     let routes = match cors::layer(&app.config.cors) {
         Some(cors) => routes.layer(cors),
         None => routes,

@@ -1,10 +1,17 @@
 //! Which web pages from elsewhere may use the server: none, unless they are named (`--cors-origin`).
 
 use std::str::FromStr;
+use std::sync::Arc;
 use std::time::Duration;
 
-use axum::http::{HeaderValue, Method, Uri};
+use axum::extract::{Request, State};
+use axum::http::{HeaderMap, HeaderValue, Method, Uri, header};
+use axum::middleware::Next;
+use axum::response::{IntoResponse, Response};
 use tower_http::cors::{AllowHeaders, AllowOrigin, Any, CorsLayer};
+
+use super::app::App;
+use super::problem::Problem;
 
 /// Pages of one site, or of all.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -67,9 +74,75 @@ pub(super) fn layer(origins: &[CorsOrigin]) -> Option<CorsLayer> {
     )
 }
 
+/// Refuses work and deletions that a page of another site asks for. A browser keeps their answers from that page, but
+/// sends a form, or plain text, for it without asking first: the visitor's machine would do the work.
+pub(super) async fn keep_out(State(app): State<Arc<App>>, request: Request, next: Next) -> Response {
+    let reads = matches!(*request.method(), Method::GET | Method::HEAD | Method::OPTIONS);
+    // Of HTTP/2, in the URI.
+    let host = request.uri().authority().map(|host| host.as_str().to_owned());
+    if !reads && is_foreign(request.headers(), host.as_deref(), &app.config.cors) {
+        return Problem::CrossSite.into_response();
+    }
+    next.run(request).await
+}
+
+/// Whether a browser says that a page sent this which is neither the server's own nor allowed. Programs say neither.
+fn is_foreign(headers: &HeaderMap, host: Option<&str>, allowed: &[CorsOrigin]) -> bool {
+    let text = |name| headers.get(name).and_then(|value| value.to_str().ok());
+    let origin = headers.get(header::ORIGIN);
+    if allowed.contains(&CorsOrigin::Any)
+        || origin.is_some_and(|origin| allowed.contains(&CorsOrigin::Site(origin.clone())))
+    {
+        return false;
+    }
+    // Where it is there it knows best: behind a proxy, the host may be another one.
+    if headers.contains_key("sec-fetch-site") {
+        return !matches!(text("sec-fetch-site"), Some("same-origin" | "none"));
+    }
+    let Some(origin) = origin else { return false };
+    let site = origin.to_str().ok().and_then(|origin| origin.split_once("://")).map(|(_, site)| site);
+    let host = host.or_else(|| text("host"));
+    !matches!((site, host), (Some(site), Some(host)) if site.eq_ignore_ascii_case(host))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_page_is_the_servers_own_a_named_one_or_foreign() {
+        let site = "https://example.org";
+        for (origin, fetch, foreign) in [
+            (None, None, false),
+            (Some("http://cloud:8080"), None, false),
+            (Some("HTTP://Cloud:8080"), None, false),
+            (Some("https://public.example.org"), Some("same-origin"), false),
+            (None, Some("none"), false),
+            (Some(site), Some("cross-site"), false),
+            (Some(site), None, false),
+            (Some("http://cloud:3000"), None, true),
+            (Some("http://cloud"), None, true),
+            (Some("http://cloud:8080"), Some("cross-site"), true),
+            (Some("http://cloud:3000"), Some("same-site"), true),
+            (Some("null"), None, true),
+            (Some(""), None, true),
+            (None, Some("cross-site"), true),
+            (None, Some("?"), true),
+        ] {
+            let mut headers = HeaderMap::new();
+            headers.insert(header::HOST, HeaderValue::from_static("cloud:8080"));
+            for (name, value) in [("origin", origin), ("sec-fetch-site", fetch)] {
+                if let Some(value) = value {
+                    headers.insert(name, HeaderValue::from_static(value));
+                }
+            }
+            let named = [CorsOrigin::Site(HeaderValue::from_static(site))];
+            assert_eq!(is_foreign(&headers, None, &named), foreign, "{origin:?} {fetch:?}");
+            assert!(!is_foreign(&headers, None, &[CorsOrigin::Any]));
+            headers.remove(header::HOST);
+            assert_eq!(is_foreign(&headers, Some("cloud:8080"), &named), foreign, "{origin:?} {fetch:?}");
+        }
+    }
 
     #[test]
     fn an_origin_is_what_a_browser_sends() {

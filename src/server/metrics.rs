@@ -61,6 +61,19 @@ const REASONS: [&str; 8] = [
     "jobs-full",
 ];
 
+/// Outcomes whose first must be seen as a change, from none: what alerts ask for.
+const FROM_THE_START: [&str; 9] = [
+    "ok",
+    "internal",
+    "failed",
+    "deadline",
+    "disk-full",
+    "job-disk-full",
+    "queue-full",
+    "queue-long",
+    "memory-full",
+];
+
 /// From a small cloud's milliseconds to a large one's ten minutes.
 const BUCKETS: [f64; 14] =
     [0.001, 0.005, 0.01, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 15.0, 60.0, 180.0, 600.0];
@@ -143,7 +156,9 @@ impl Metrics {
             metrics.refusals(reason).increment(0);
         }
         for interface in Interface::ALL {
-            metrics.requests(interface, "ok").increment(0);
+            for outcome in FROM_THE_START {
+                metrics.requests(interface, outcome).increment(0);
+            }
         }
         metrics::with_local_recorder(&metrics.recorder, || metrics.process.describe());
         let labels = vec![
@@ -245,6 +260,20 @@ mod tests {
 
     fn idle() -> Engine {
         Engine::with_backend(std::sync::Arc::new(Fake::new()), EngineConfig::default()).expect("an engine")
+    }
+
+    #[test]
+    fn what_alerts_ask_for_is_there_before_it_happens() {
+        let alerts = include_str!("../../deploy/alerts.yml");
+        let asked: Vec<_> = alerts
+            .split("outcome=")
+            .skip(1)
+            .flat_map(|rest| rest.split('"').nth(1).unwrap_or_default().split('|'))
+            .collect();
+        assert!(asked.len() > 5, "{asked:?}");
+        for outcome in asked {
+            assert!(FROM_THE_START.contains(&outcome), "{outcome}");
+        }
     }
 
     #[test]

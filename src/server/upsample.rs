@@ -266,7 +266,8 @@ pub(super) fn prepare(app: &App, order: Order) -> Result<Prepared, Problem> {
     }
     let names: Vec<&str> = cloud.attributes.iter().map(|a| a.name.as_str()).collect();
     if let Some(unknown) = finish.rules.unknown(&names).next() {
-        let why = format!("the cloud has no attribute {unknown:?}; it has {}", names.join(", "));
+        let there = if names.is_empty() { "none".to_owned() } else { names.join(", ") };
+        let why = format!("the cloud has no attribute {unknown:?}; it has {there}");
         return Err(Problem::parameter("attributes", why));
     }
     let request = Request { cloud, target, settings, finish };

@@ -33,6 +33,9 @@ fn the_command_line_leaves_a_job_and_fetches_what_upsample_would_have_made() {
     let path = within(&folder);
     std::fs::write(path("in.xyz"), sphere(300)).expect("a file");
     let serving = Serving::start(&["--data-dir", &path("jobs")]);
+    // Others on the machine see nothing of it.
+    let mode = std::fs::metadata(path("jobs")).expect("a folder").permissions();
+    assert_eq!(std::os::unix::fs::PermissionsExt::mode(&mode) & 0o777, 0o700);
     let server = serving.url("");
     let job = |arguments: &[&str]| run(&[&["job", "--server", &server], arguments].concat());
     let submitted = job(&["submit", &path("in.xyz"), "--ratio", "3", "--seed", "5", "--accept", "model/e57"]);

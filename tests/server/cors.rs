@@ -40,6 +40,25 @@ fn without_the_setting_no_other_site_is_let_in() {
     }
     let refused = preflight(&server, "/upsample?ratio=4", "POST", "content-type");
     assert_eq!((refused.status, let_in(&refused)), (405, None));
+    // A form, or text, needs no preflight: a browser sends it, whatever becomes of the answer.
+    let body = encode(&cloud(100), PLY);
+    for (method, path) in [("POST", "/upsample?ratio=4"), ("POST", "/jobs?ratio=4"), ("DELETE", "/jobs/1")] {
+        for (site, more) in [(SITE, ""), ("null", ""), ("http://x", "sec-fetch-site: cross-site\r\n")] {
+            let refused = from_site(&server, method, path, site, more, &body);
+            assert_eq!(
+                (refused.status, refused.problem_name().as_str()),
+                (403, "cross-site"),
+                "{path} {site}"
+            );
+            assert_eq!(refused.problem()["setting"], "--cors-origin");
+        }
+    }
+    assert_eq!(server.metric("densecloud_admitted_total"), 0.0);
+    // The server's own pages, also behind a proxy that calls it otherwise.
+    for (site, more) in [("http://x", ""), (SITE, "sec-fetch-site: same-origin\r\n")] {
+        let reply = from_site(&server, "POST", "/upsample?ratio=4", site, more, &body);
+        assert_eq!(reply.status, 200, "{site}");
+    }
 }
 
 #[test]

@@ -8,6 +8,7 @@ use densecloud::cloud::Position;
 use densecloud::engine::EngineConfig;
 use densecloud::server::{Config, Limits, ModelInfo};
 use serde_json::{Value, json};
+use sha2::{Digest, Sha256};
 
 use crate::support::{Reply, Scripted, Server, cloud, dense, wait_until};
 
@@ -127,6 +128,10 @@ fn the_answer_is_the_librarys_own_result() {
                 reply.header("densecloud-provenance"),
                 "told where clients look"
             );
+            // The tensor's, whether it came in JSON or in binary.
+            let hash = Sha256::digest(bytes(&cloud(300), datatype));
+            let hash: String = hash.iter().map(|byte| format!("{byte:02x}")).collect();
+            assert!(reply.header("densecloud-provenance").expect("a line").contains(&hash), "{reply:?}");
             assert!(reply.header("server-timing").expect("timing").contains("units;dur="));
         }
     }

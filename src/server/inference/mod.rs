@@ -145,7 +145,8 @@ async fn answer(
         let (json, binary) = split(received.bytes(), header)?;
         let request = read(json)?;
         check_points(app, &request)?;
-        let cloud = Cloud::from(request.positions(binary)?);
+        let mut cloud = Cloud::from(request.positions(binary)?);
+        cloud.origin.sha256 = Some(request.hash(&cloud.positions));
         let Request { parameters, reply, .. } = request;
         let input = Format::Npy { scalar: reply.datatype.scalar(), fields: false };
         // To the rest, a tensor is a NumPy array.

@@ -5,6 +5,7 @@ use std::fmt;
 use serde::Deserialize;
 use serde::de::{DeserializeSeed, Deserializer, Error, SeqAccess, Visitor};
 use serde_json::value::RawValue;
+use sha2::{Digest, Sha256};
 
 use super::bounded::{self, Few};
 use super::reply::Reply;
@@ -198,6 +199,18 @@ impl Request<'_> {
                 numbers.positions(self.reply.datatype)
             }
         }
+    }
+
+    /// The SHA-256 of the tensor in binary, however it came.
+    pub(super) fn hash(&self, positions: &[Position]) -> [u8; 32] {
+        let mut hash = Sha256::new();
+        for number in positions.as_flattened() {
+            match self.reply.datatype {
+                Datatype::F32 => hash.update((*number as f32).to_le_bytes()),
+                Datatype::F64 => hash.update(number.to_le_bytes()),
+            }
+        }
+        hash.finalize().into()
     }
 }
 

@@ -122,6 +122,9 @@ pub(super) enum Problem {
     /// Keys are needed, and none came, or one that is not known.
     #[error("{0}; send one that the server's --keys has, as Authorization: Bearer KEY")]
     Unauthorized(&'static str),
+    /// A browser sent it for a page of another site.
+    #[error("a page of another site sent this; --cors-origin names those that may")]
+    CrossSite,
     /// The engine does not take it.
     #[error("{0}; {hint}", hint = lifting(.0))]
     Refused(Refusal),
@@ -339,7 +342,7 @@ impl Problem {
             Self::NotFound => (S::NOT_FOUND, "not-found", "No such path", None),
             Self::UnknownModel(_) => (S::NOT_FOUND, "unknown-model", "No such model", None),
             Self::MalformedRequest(_) => {
-                (S::BAD_REQUEST, "malformed-request", "The inference request cannot be read", None)
+                (S::BAD_REQUEST, "malformed-request", "The request cannot be read", None)
             }
             Self::MethodNotAllowed => {
                 (S::METHOD_NOT_ALLOWED, "method-not-allowed", "Not for this method", None)
@@ -397,6 +400,9 @@ impl Problem {
                 "Your share of the queue's time is used",
                 Some("--queue-time"),
             ),
+            Self::CrossSite => {
+                (S::FORBIDDEN, "cross-site", "Not for pages of other sites", Some("--cors-origin"))
+            }
             Self::Unauthorized(_) => (S::UNAUTHORIZED, "unauthorized", "A key is needed", Some("--keys")),
             Self::Refused(Refusal::Share { .. }) => (
                 S::TOO_MANY_REQUESTS,

@@ -36,6 +36,7 @@ pub(in crate::server) fn every_problem() -> Vec<(Problem, u16, &'static str)> {
         (Problem::HeldFull { used: 4, limit: 5 }, 503, "memory-full"),
         (Problem::Deadline { limit: second, spent: "x".into() }, 504, "deadline"),
         (Problem::Unauthorized("x"), 401, "unauthorized"),
+        (Problem::CrossSite, 403, "cross-site"),
         (busy(false), 503, "queue-long"),
         (busy(true), 429, "client-time"),
         (
