@@ -23,6 +23,7 @@ from . import clouds as cloud_sets
 from . import config as configs
 from .config import Config, Data
 from .edge import gather_rows, nearest_others
+from .errors import run_command
 from .levels import Result, Step
 from .loss import masked_mean, nearest_distances
 from .network import normalise
@@ -319,4 +320,4 @@ def main(values: Optional[List[str]] = None) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run_command(main)

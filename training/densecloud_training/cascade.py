@@ -14,6 +14,7 @@ import numpy as np
 import torch
 
 from . import checkpoint as checkpoints
+from .errors import InputError, run_command
 from .network import PATCH, SKIP_NEIGHBOURS, Cascade, Previous, normalise
 
 OVERLAP = 2.0
@@ -142,7 +143,7 @@ def run_level(
     """[n,3] -> [2n,3], and what the next level needs."""
     size = min(PATCH, len(points))
     if size <= unit.k:
-        raise ValueError(f"{len(points)} points are too few: a patch needs more than {unit.k}")
+        raise InputError(f"{len(points)} points are too few: a patch needs more than {unit.k}")
     seeds = farthest_point_sampling(points, max(1, math.ceil(rules.overlap * len(points) / PATCH)), rules.fps)
     times.add("seeds")
     patches = cover(points, seeds, size)
@@ -183,6 +184,15 @@ def upsample(
     return points.numpy().astype(np.float64) * scale + centre, times
 
 
+def read_points(path: Path) -> np.ndarray:
+    """[n,3]: the first three columns of a text file."""
+    try:
+        with open(path) as file:
+            return np.loadtxt(file, ndmin=2, usecols=(0, 1, 2))
+    except ValueError as error:
+        raise InputError(f"{path}: not columns of numbers, x y z a line: {error}") from error
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("checkpoint", type=Path, help="a checkpoint, or the folder of a run or a model")
@@ -203,7 +213,7 @@ def main() -> None:
     if arguments.threads:
         torch.set_num_threads(arguments.threads)
     cascade, _, _ = checkpoints.load_cascade(arguments.checkpoint)
-    cloud = np.loadtxt(arguments.input, ndmin=2)[:, :3]
+    cloud = read_points(arguments.input)
     start = time.perf_counter()
     rules = Rules(arguments.overlap, arguments.inner, arguments.fps, arguments.batch)
     dense, times = upsample(cascade, cloud, arguments.ratio, rules)
@@ -215,4 +225,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run_command(main)

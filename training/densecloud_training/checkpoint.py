@@ -1,6 +1,7 @@
 """Everything a run needs to go on as if it had never stopped, in one small file."""
 
 import os
+import pickle
 import random
 from pathlib import Path
 from typing import Any, Dict, Tuple
@@ -8,6 +9,7 @@ from typing import Any, Dict, Tuple
 import torch
 
 from .config import Switches
+from .errors import InputError
 from .network import Cascade
 from .variants import build_cascade
 
@@ -29,9 +31,14 @@ def load(path: Path) -> Dict[str, Any]:
     It holds tensors and plain values only, and PyTorch 2 refuses anything else in the file. PyTorch 1 cannot read
     numbers in that way: with it, load only files that you trust.
     """
-    state = torch.load(path, map_location="cpu", weights_only=int(torch.__version__.split(".")[0]) >= 2)
-    if state.get("version") != VERSION:
-        raise ValueError(f"{path}: checkpoint version {state.get('version')}, this program reads {VERSION}")
+    with open(path, "rb") as file:
+        try:
+            state = torch.load(file, map_location="cpu", weights_only=int(torch.__version__.split(".")[0]) >= 2)
+        except (RuntimeError, pickle.UnpicklingError, EOFError) as error:
+            raise InputError(f"{path}: not a checkpoint, or one cut short; `train` writes them") from error
+    version = state.get("version") if isinstance(state, dict) else None
+    if version != VERSION:
+        raise InputError(f"{path}: checkpoint version {version}, this program reads {VERSION}")
     return state
 
 

@@ -5,11 +5,14 @@ shape's bounding box of [-1, 1]. Any two levels of the ladder are a training pai
 """
 
 import json
+import zipfile
 from pathlib import Path
 from typing import Dict, Iterable, List, NamedTuple
 
 import numpy as np
 import torch
+
+from .errors import InputError
 
 COARSEST = 625
 VALIDATION_FILE = Path(__file__).with_name("validation.txt")
@@ -44,11 +47,15 @@ def validation_names() -> List[str]:
 
 def load(path: Path, device: torch.device, held_out: bool) -> Clouds:
     """The training shapes of a prepared file, or, with `held_out`, the validation shapes."""
-    with np.load(path) as archive:
-        meta = json.loads(str(archive["meta"]))
+    with open(path, "rb") as file:
+        try:
+            archive = np.load(file)
+            meta = json.loads(str(archive["meta"]))
+        except (ValueError, KeyError, IndexError, EOFError, zipfile.BadZipFile) as error:
+            raise InputError(f"{path}: not a file of prepared clouds; `prepare` writes them") from error
         chosen = _choose(meta["names"], held_out)
         if not chosen:
-            raise ValueError(f"{path} has no {'validation' if held_out else 'training'} shapes")
+            raise InputError(f"{path} has no {'validation' if held_out else 'training'} shapes")
         levels = [archive[f"level{k}"][chosen] for k in range(len(meta["levels"]))]
     tensors = [torch.from_numpy(level.astype(np.float32)).to(device) * (2 / 65535) - 1 for level in levels]
     # A mesh of few triangles teaches facets; shapes with more detail are drawn more often.

@@ -9,6 +9,8 @@ try:
 except ModuleNotFoundError:  # Python 3.10
     import tomli as tomllib
 
+from .errors import InputError
+
 CONFIGS = Path(__file__).with_name("configs")
 
 
@@ -72,7 +74,7 @@ class Switches:
     def __post_init__(self):
         for name, choices in self.CHOICES.items():
             if getattr(self, name) not in choices:
-                raise ValueError(f"unit.{name} = {getattr(self, name)!r}: must be one of {', '.join(choices)}")
+                raise InputError(f"unit.{name} = {getattr(self, name)!r}: must be one of {', '.join(choices)}")
 
 
 @dataclass
@@ -102,9 +104,15 @@ class Config:
 def load(path: Path) -> Config:
     """Reads a config by path, or by name from the package's `configs/`."""
     if not path.exists():
+        own = sorted(file.stem for file in CONFIGS.glob("*.toml"))
+        if str(path) not in own:
+            raise InputError(f"--config {path} is no file, nor one of the package's own: {', '.join(own)}")
         path = CONFIGS / f"{path}.toml"
-    with open(path, "rb") as file:
-        return from_dict(tomllib.load(file))
+    try:
+        with open(path, "rb") as file:
+            return from_dict(tomllib.load(file))
+    except (tomllib.TOMLDecodeError, TypeError) as error:
+        raise InputError(f"{path}: not a config: {error}") from error
 
 
 def from_dict(values: dict) -> Config:
@@ -112,7 +120,7 @@ def from_dict(values: dict) -> Config:
     known = {item.name for item in fields(Config)}
     unknown = set(values) - known
     if unknown:
-        raise ValueError(f"unknown settings: {', '.join(sorted(unknown))}; known: {', '.join(sorted(known))}")
+        raise InputError(f"unknown settings: {', '.join(sorted(unknown))}; known: {', '.join(sorted(known))}")
     values["data"] = Data(**values.get("data", {}))
     values["loss"] = Loss(**values.get("loss", {}))
     values["unit"] = Switches(**values.get("unit", {}))

@@ -6,7 +6,6 @@ curves. `--random` writes unit files of an untrained cascade instead, for tests 
 
 import argparse
 import shutil
-import sys
 from pathlib import Path
 from typing import List, Optional
 
@@ -17,6 +16,7 @@ from . import checkpoint as checkpoints
 from . import network
 from .card import write_card
 from .config import Switches
+from .errors import InputError, run_command
 from .onnx_unit import build_unit
 from .plot import draw, read_log
 from .train import LOG
@@ -27,7 +27,7 @@ def export_units(cascade: network.Cascade, folder: Path) -> List[Path]:
     graph does: they would load, run, and be wrong."""
     for unit in cascade.units:
         if type(unit) is not network.Unit:
-            raise ValueError(
+            raise InputError(
                 f"units with {getattr(unit, 'switches', type(unit).__name__)} cannot be written: the ONNX graph is "
                 "that of the plain unit. Train without these settings of [unit], or run this checkpoint in PyTorch"
             )
@@ -70,11 +70,8 @@ def main(values: Optional[List[str]] = None) -> None:
         torch.manual_seed(arguments.seed)
         export_units(network.Cascade(arguments.levels, arguments.k, arguments.neighbours), arguments.out)
     else:
-        try:
-            export_model(arguments.run, arguments.out, arguments.name)
-        except ValueError as error:
-            sys.exit(f"nothing exported: {error}")
+        export_model(arguments.run, arguments.out, arguments.name)
 
 
 if __name__ == "__main__":
-    main()
+    run_command(main)

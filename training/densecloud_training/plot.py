@@ -5,13 +5,17 @@ import json
 from pathlib import Path
 from typing import Any, Dict, List
 
+from .errors import InputError, run_command
 from .train import LOG
 
 
 def read_log(path: Path) -> List[Dict[str, Any]]:
     """The entries of a log file, or of the log in a run's folder."""
     path = path / LOG if path.is_dir() else path
-    return [json.loads(line) for line in path.read_text().splitlines() if line.strip()]
+    try:
+        return [json.loads(line) for line in path.read_text().splitlines() if line.strip()]
+    except ValueError as error:
+        raise InputError(f"{path}: not the log of a run: {error}") from error
 
 
 def relative(entries: List[Dict[str, Any]]) -> List[Dict[str, Any]]:
@@ -76,4 +80,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run_command(main)

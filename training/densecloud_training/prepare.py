@@ -20,6 +20,7 @@ from typing import Dict, List, Tuple
 import numpy as np
 
 from .clouds import level_size
+from .errors import InputError, run_command
 
 MESHES = (".ply", ".off")
 
@@ -129,6 +130,8 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=os.cpu_count())
     arguments = parser.parse_args()
     meshes = sorted(path for path in arguments.meshes.iterdir() if path.suffix.lower() in MESHES)
+    if not meshes:
+        raise InputError(f"{arguments.meshes} has no {' or '.join(sorted(MESHES))} files")
     program = find_program(arguments.program)
     names, levels = prepare(meshes, program, arguments.levels, arguments.seed, arguments.jobs)
     by_name = {mesh.stem: mesh for mesh in meshes}
@@ -146,4 +149,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run_command(main)

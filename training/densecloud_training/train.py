@@ -17,6 +17,7 @@ from . import checkpoint as checkpoints
 from . import clouds as cloud_sets
 from . import config as configs
 from .config import Config, Stage
+from .errors import run_command
 from .levels import run_levels
 from .loss import chamfer, crowding
 from .patches import PatchSource
@@ -308,4 +309,4 @@ def main(values: Optional[List[str]] = None) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run_command(main)

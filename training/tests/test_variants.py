@@ -11,6 +11,7 @@ from densecloud_training import checkpoint as checkpoints
 from densecloud_training import config as configs
 from densecloud_training.config import Config, Data, Loss, Stage, Switches
 from densecloud_training.edge import EdgeBlock, nearest_in_features
+from densecloud_training.errors import InputError
 from densecloud_training.export import export_units
 from densecloud_training.export import main as export
 from densecloud_training.loss import chamfer, crowding
@@ -159,7 +160,7 @@ def test_a_variant_comes_back_from_its_checkpoint_and_is_not_exported(name, trai
     cascade, _, _ = checkpoints.load_cascade(tmp_path)
     patch = points()
     assert torch.equal(cascade.units[0](patch).dense, trainer.averaged.units[0](patch).dense)
-    with pytest.raises(SystemExit, match="nothing exported: units with Switches.*cannot be written"):
+    with pytest.raises(InputError, match="units with Switches.*cannot be written"):
         export([str(tmp_path), str(tmp_path / "model")])
     assert not (tmp_path / "model").exists()
 

@@ -6,10 +6,11 @@ from pathlib import Path
 from typing import List, Sequence
 
 from ..clouds import validation_names
+from ..errors import run_command
 from ..prepare import find_program
 from . import noisy, peers, pictures, rules, stress, targets, validation
 from .inputs import Inputs
-from .program import Program, ProgramError
+from .program import Program
 
 
 def parser() -> argparse.ArgumentParser:
@@ -93,11 +94,8 @@ def run(arguments: argparse.Namespace) -> None:
 
 
 def main() -> None:
-    try:
-        run(parser().parse_args())
-    except ProgramError as error:
-        raise SystemExit(f"failed: {error}") from error
+    run(parser().parse_args())
 
 
 if __name__ == "__main__":
-    main()
+    run_command(main)

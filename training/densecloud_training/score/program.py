@@ -9,11 +9,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import List, Optional, Sequence
 
+from ..errors import InputError
 from . import report
 from .report import Report
 
 
-class ProgramError(Exception):
+class ProgramError(InputError):
     """A command of the program failed; the message holds the command and what it said."""
 
 
