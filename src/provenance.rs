@@ -98,7 +98,7 @@ mod tests {
             "model=my_model model_sha256=12cd",
             "input_sha256=abababab",
             "input_points=7 ratio=7.3 seed=5",
-            "keep_input=true attributes=red:drop,a_b:mean",
+            "keep_input=true attributes=a_b:mean,red:drop",
         ] {
             assert!(made.contains(part), "{made}");
         }

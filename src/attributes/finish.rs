@@ -2,7 +2,7 @@
 
 use super::carry::{Near, carry, normal_of};
 use super::keep::without_nearest;
-use super::rules::Rules;
+use super::rules::{Rule, Rules};
 use crate::cloud::{Attribute, Cloud, Frame, Origin, Point, Position, Values};
 use crate::geometry::estimate_normals;
 
@@ -29,10 +29,12 @@ pub struct Finish {
 }
 
 impl Finish {
-    /// Bytes that a result's point takes beside its position and what its source has.
+    /// Bytes that a result's point takes beside its position, where its source has these attributes.
     #[must_use]
-    pub fn bytes_a_point(&self) -> u64 {
-        5 * u64::from(self.source_fields) + 12 * u64::from(self.estimate_normals)
+    pub fn bytes_a_point(&self, source: &[Attribute]) -> u64 {
+        let kept = source.iter().filter(|a| self.rules.of(&a.name, a.values.kind()) != Rule::Drop);
+        let kept: u64 = kept.map(|a| a.values.kind().size() as u64).sum();
+        kept + 5 * u64::from(self.source_fields) + 12 * u64::from(self.estimate_normals)
     }
 
     /// What a result takes over of what the source's file tells of the whole, and a sentence about what it

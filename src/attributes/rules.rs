@@ -1,5 +1,6 @@
 //! Which rule an attribute follows.
 
+use std::collections::{BTreeMap, HashSet};
 use std::fmt;
 use std::str::FromStr;
 
@@ -27,8 +28,11 @@ pub enum Rule {
 /// vector; see [`super::carry()`].
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Rules {
-    set: Vec<(String, Rule)>,
+    set: BTreeMap<String, Rule>,
 }
+
+/// Rules that are taken at most: a server's clients send them, and each is compared with a file's names.
+const MOST: usize = 1000;
 
 /// Why text is no list of rules.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -39,6 +43,9 @@ pub enum RulesError {
     /// A name comes twice.
     #[error("{0:?} has two rules")]
     Twice(String),
+    /// More than anybody types.
+    #[error("more than {MOST} rules")]
+    TooMany,
 }
 
 /// Names of attributes that are colours or intensities, in lower case.
@@ -94,7 +101,7 @@ impl Rules {
     /// The rule of an attribute.
     #[must_use]
     pub fn of(&self, name: &str, kind: Kind) -> Rule {
-        if let Some((_, rule)) = self.set.iter().find(|(n, _)| n == name) {
+        if let Some(rule) = self.set.get(name) {
             return *rule;
         }
         let name = name.to_ascii_lowercase();
@@ -111,11 +118,12 @@ impl Rules {
 
     /// Names that have a rule and are none of `names`: misspelt ones, most likely.
     pub fn unknown<'a>(&'a self, names: &'a [&str]) -> impl Iterator<Item = &'a str> {
-        self.set.iter().map(|(name, _)| name.as_str()).filter(|name| !names.contains(name))
+        let names: HashSet<&str> = names.iter().copied().collect();
+        self.set.keys().map(String::as_str).filter(move |name| !names.contains(name))
     }
 }
 
-/// As [`FromStr`] reads it; nothing where no rule is set.
+/// As [`FromStr`] reads it, by names; nothing where no rule is set.
 impl fmt::Display for Rules {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         for (i, (name, rule)) in self.set.iter().enumerate() {
@@ -136,7 +144,7 @@ impl FromStr for Rules {
     type Err = RulesError;
 
     fn from_str(text: &str) -> Result<Self, RulesError> {
-        let mut set: Vec<(String, Rule)> = Vec::new();
+        let mut set = BTreeMap::new();
         for part in text.split(',') {
             let bad = || RulesError::Malformed(part.to_owned());
             let (name, rule) = part.rsplit_once(':').ok_or_else(bad)?;
@@ -149,10 +157,12 @@ impl FromStr for Rules {
             if name.is_empty() {
                 return Err(bad());
             }
-            if set.iter().any(|(n, _)| n == name) {
+            if set.insert(name.to_owned(), rule).is_some() {
                 return Err(RulesError::Twice(name.to_owned()));
             }
-            set.push((name.to_owned(), rule));
+            if set.len() > MOST {
+                return Err(RulesError::TooMany);
+            }
         }
         Ok(Self { set })
     }
@@ -199,5 +209,8 @@ mod tests {
             assert!(matches!(bad.parse::<Rules>(), Err(RulesError::Malformed(_))), "{bad}");
         }
         assert_eq!("a:mean,a:drop".parse::<Rules>(), Err(RulesError::Twice("a".into())));
+        let many = |count| (0..count).map(|i| format!("a{i}:drop")).collect::<Vec<_>>().join(",");
+        assert!(many(MOST).parse::<Rules>().is_ok());
+        assert_eq!(many(MOST + 1).parse::<Rules>(), Err(RulesError::TooMany));
     }
 }

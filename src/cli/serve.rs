@@ -92,6 +92,12 @@ pub(super) struct ServeArgs {
         default_value_t = Limits::default().connections)]
     max_connections: usize,
 
+    /// The same of one address; more are closed at once. 0 is a quarter of --max-connections but 32 at
+    /// least, and with --trust-forwarded no limit
+    #[arg(long, env = "DENSECLOUD_CLIENT_CONNECTIONS", value_name = "N",
+        default_value_t = Limits::default().client_connections)]
+    client_connections: usize,
+
     /// How long a connection may take to send the head of its next request
     #[arg(long, env = "DENSECLOUD_HEAD_TIMEOUT", value_name = "SECONDS", value_parser = seconds,
         default_value = "30")]
@@ -156,6 +162,24 @@ fn private_folder(folder: &Path) -> io::Result<()> {
     builder.create(folder)
 }
 
+/// Files and sockets that are open beside connections: the database, results of jobs that are being read.
+const OTHER_DESCRIPTORS: u64 = 128;
+
+/// Takes as many file descriptors as the system lets this process have: with too few, connections would take those
+/// that work needs.
+fn raise_descriptors(connections: usize) {
+    let needed = (connections as u64).saturating_add(OTHER_DESCRIPTORS);
+    match rlimit::increase_nofile_limit(u64::MAX) {
+        Ok(limit) if limit < needed => tracing::warn!(
+            limit,
+            needed,
+            "too few files may be open for --max-connections; raise `ulimit -n` or lower it"
+        ),
+        Ok(_) => {}
+        Err(error) => tracing::warn!(%error, "the limit of open files cannot be raised"),
+    }
+}
+
 pub(super) fn run(args: &ServeArgs) -> Result<(), CliError> {
     let Checked { config, model, filter } = args.check()?;
     if let Some(jobs) = &config.jobs {
@@ -165,6 +189,7 @@ pub(super) fn run(args: &ServeArgs) -> Result<(), CliError> {
         })?;
     }
     start_log(filter, args.log_format)?;
+    raise_descriptors(args.max_connections);
     if let Some(file) = &args.settings.config {
         tracing::info!(file = %file.display(), "settings read");
     }
@@ -238,6 +263,7 @@ impl ServeArgs {
                 points_out: self.max_points_out,
                 held_bytes: self.max_held_bytes,
                 connections: self.max_connections,
+                client_connections: self.client_connections,
             },
             timeouts: Timeouts {
                 head: self.head_timeout,
@@ -513,6 +539,7 @@ mod tests {
             "--max-points-out=3",
             "--max-held-bytes=4",
             "--max-connections=5",
+            "--client-connections=6",
             "--head-timeout=0.5",
             "--stall-timeout=7",
             "--request-timeout=8",
@@ -520,7 +547,14 @@ mod tests {
             "--drain-timeout=0",
         ]);
         let Config { limits, timeouts, .. } = args.expect("arguments").config();
-        let expected = Limits { body_bytes: 1, points_in: 2, points_out: 3, held_bytes: 4, connections: 5 };
+        let expected = Limits {
+            body_bytes: 1,
+            points_in: 2,
+            points_out: 3,
+            held_bytes: 4,
+            connections: 5,
+            client_connections: 6,
+        };
         assert_eq!(limits, expected);
         assert_eq!(timeouts.head, Duration::from_millis(500));
         assert_eq!(timeouts.stall, Duration::from_secs(7));

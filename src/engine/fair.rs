@@ -12,7 +12,7 @@ use super::client::Client;
 /// points over the number of clients that wait, so every start is reached in the end: nobody starves,
 /// whoever else comes. Nothing depends on time or chance.
 #[derive(Debug)]
-pub(super) struct Fair<T> {
+pub(crate) struct Fair<T> {
     flows: BTreeMap<Client, Flow<T>>,
     clock: u64,
     turns: u64,
@@ -36,7 +36,7 @@ impl<T> Default for Fair<T> {
 
 impl<T> Fair<T> {
     /// Adds an item of so many points. O(log clients).
-    pub(super) fn push(&mut self, client: &Client, item: T, points: u64) {
+    pub(crate) fn push(&mut self, client: &Client, item: T, points: u64) {
         let clock = self.clock;
         let new = || Flow { waiting: VecDeque::new(), start: clock, turn: 0 };
         let flow = self.flows.entry(client.clone()).or_insert_with(new);
@@ -58,7 +58,7 @@ impl<T> Fair<T> {
     }
 
     /// Takes it out. O(clients).
-    pub(super) fn pop(&mut self) -> Option<T> {
+    pub(crate) fn pop(&mut self) -> Option<T> {
         let client = self.first()?;
         let clients = self.flows.values().filter(|flow| !flow.waiting.is_empty()).count() as u64;
         let flow = self.flows.get_mut(&client)?;

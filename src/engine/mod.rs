@@ -18,6 +18,7 @@ use std::time::{Duration, Instant};
 
 pub use client::{Caller, Client};
 pub use cost::Cost;
+pub(crate) use fair::Fair;
 pub use job::{Job, Outcome, ProgressHandle};
 pub use progress::{Progress, StageTimes};
 pub use queue::Permit;

@@ -288,10 +288,16 @@ impl Queue {
         Ok(Permit { queue: Arc::clone(self), client: caller.client.clone(), cost, time })
     }
 
-    /// Whether a request could be admitted, were it this small.
+    /// Whether a request could be admitted, were it this small, or, where small ones wait for too long already, the
+    /// least of the large.
     pub(super) fn would_admit(&self, caller: &Caller, cost: Cost) -> Result<(), Refusal> {
         let mut state = self.lock();
         let Err(refusal) = self.check(&mut state, caller, cost) else { return Ok(()) };
+        let waits = matches!(refusal, Refusal::Busy { .. } | Refusal::Late { .. });
+        let large = Cost { points_out: cost.points_out.max(Lane::EXPRESS + 1), ..cost };
+        if waits && self.check(&mut state, caller, large).is_ok() {
+            return Ok(());
+        }
         // How large it is nobody knows yet. It will hardly be the smallest there is, for which room comes soonest.
         let requests: u64 = state.clients.values().flatten().map(|load| load.requests).sum();
         let typical = Cost { points_out: cost.points_out.max(state.points / requests.max(1)), ..cost };

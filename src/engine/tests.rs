@@ -266,6 +266,7 @@ fn what_waits_is_bounded_in_time_for_all_and_for_each_client() {
     assert!((4..70).contains(&jobs.len()), "{} were taken", jobs.len());
     assert!(share > 0 && long > 0, "{share} and {long}");
     // The other lane is another queue.
+    assert!(engine.would_admit(&caller("h"), cost(1, 1)).is_ok(), "it may be a large one");
     assert!(engine.reserve(&caller("h"), cost(100_000, 400_000)).is_ok());
 }
 

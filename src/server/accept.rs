@@ -3,10 +3,11 @@
 //! `axum::serve` would be shorter, but it sets no timer for a request's head and no deadline for a
 //! graceful end.
 
+use std::collections::HashMap;
 use std::convert::Infallible;
 use std::net::SocketAddr;
 use std::pin::pin;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use axum::Router;
@@ -22,6 +23,7 @@ use tokio::task::JoinSet;
 use tower::ServiceExt;
 
 use super::activity::Activity;
+use super::client::network;
 use super::config::{Config, Timeouts};
 
 /// What a request knows of its connection.
@@ -51,6 +53,7 @@ pub(super) async fn accept(
     let mut connections = JoinSet::new();
     // A semaphore: whoever accepts waits until one of the connections gives its place back.
     let places = Arc::new(Semaphore::new(config.limits.connections.min(Semaphore::MAX_PERMITS)));
+    let addresses = Arc::new(Addresses::default());
     let is_closing = closing.clone();
     loop {
         let next = async {
@@ -61,11 +64,15 @@ pub(super) async fn accept(
         tokio::select! {
             (place, accepted) = next => match accepted {
                 Ok((stream, peer)) => {
+                    let Some(own) = addresses.place(&peer, config.client_connections()) else {
+                        tracing::debug!(%peer, "its address has too many connections open");
+                        continue;
+                    };
                     let timeouts = config.timeouts.clone();
                     let served = serve(stream, peer, router.clone(), timeouts, is_closing.clone());
                     connections.spawn(async move {
                         served.await;
-                        drop(place);
+                        drop((place, own));
                     });
                 }
                 Err(error) => {
@@ -75,6 +82,42 @@ pub(super) async fn accept(
             },
             Some(_) = connections.join_next() => {}
             () = closed(&mut closing) => return connections,
+        }
+    }
+}
+
+/// Connections that are open, by address: no client takes all that there are places for, by what needs no key, such as
+/// a watch of the server's health.
+#[derive(Default)]
+struct Addresses(Mutex<HashMap<String, usize>>);
+
+/// One of an address's connections, until dropped.
+struct Place {
+    addresses: Arc<Addresses>,
+    address: String,
+}
+
+impl Addresses {
+    fn place(self: &Arc<Self>, peer: &SocketAddr, most: usize) -> Option<Place> {
+        let address = network(Some(peer.ip()));
+        let mut open = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let count = open.get(&address).copied().unwrap_or(0);
+        if count >= most {
+            return None;
+        }
+        open.insert(address.clone(), count + 1);
+        Some(Place { addresses: Arc::clone(self), address })
+    }
+}
+
+impl Drop for Place {
+    fn drop(&mut self) {
+        let mut open = self.addresses.0.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(count) = open.get_mut(&self.address) {
+            *count -= 1;
+            if *count == 0 {
+                open.remove(&self.address);
+            }
         }
     }
 }

@@ -23,9 +23,11 @@ pub(super) fn accepted(headers: &HeaderMap) -> Result<Option<Format>, Problem> {
     for range in all.split(',') {
         let mut parts = range.split(';').map(str::trim);
         let kind = parts.next().unwrap_or_default().to_ascii_lowercase();
-        let quality = parts.find_map(|p| p.strip_prefix("q=")).map_or(1.0, |q| q.parse().unwrap_or(0.0));
+        let weight = parts.find_map(|p| p.strip_prefix("q=").or_else(|| p.strip_prefix("Q=")));
+        let quality = weight.map_or(1.0, |q| q.parse().unwrap_or(0.0));
         let what = match kind.as_str() {
             "*/*" | "application/*" | "application/octet-stream" => None,
+            "text/*" => Format::from_media_type("text/plain"),
             known => match Format::from_media_type(known) {
                 Some(format) => Some(format),
                 None => continue,
@@ -62,11 +64,12 @@ mod tests {
             ("image/png, application/vnd.laszip", Some(Format::Las { compressed: true })),
             ("text/csv;q=0.5, Application/VND.las;q=0.9, */*;q=0.1", Some(Format::Las { compressed: false })),
             ("application/octet-stream", None),
+            ("text/*", Format::from_media_type("text/plain")),
         ] {
             assert_eq!(format(accept).expect("a format"), wanted, "{accept}");
         }
         assert_eq!(accepted(&HeaderMap::new()), Ok(None));
-        for refused in ["text/html", "image/*", "text/csv;q=0"] {
+        for refused in ["text/html", "image/*", "text/csv;q=0", "text/csv;Q=0"] {
             assert!(matches!(format(refused), Err(Problem::NotAcceptable { .. })), "{refused}");
         }
     }

@@ -16,6 +16,7 @@ use tokio::time::timeout;
 use super::budget::Budget;
 use super::config::Config;
 use super::metrics::Metrics;
+use super::parsing::Parsing;
 use super::problem::Problem;
 use super::readiness::Readiness;
 use super::{
@@ -35,6 +36,7 @@ pub(super) struct App {
     pub(super) jobs: Option<Arc<Jobs>>,
     // A semaphore: a question that nobody waits for any more keeps its turn until it is answered.
     pub(super) asking: Arc<Semaphore>,
+    pub(super) parsing: Arc<Parsing>,
     /// Requests whose response is not over, probes aside. A watch channel, so that a stopping server
     /// can wait for none.
     pub(super) in_flight: watch::Sender<usize>,
@@ -48,6 +50,7 @@ impl App {
             readiness: Readiness::new(),
             budget: Budget::new(config.limits.held_bytes),
             asking: Arc::new(Semaphore::new(jobs::ASKING)),
+            parsing: Arc::new(Parsing::new()),
             in_flight: watch::Sender::new(0),
             engine,
             config,

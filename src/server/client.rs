@@ -1,6 +1,6 @@
 //! Who asks: by the key that is shown where keys are needed, else by the address.
 
-use std::net::{IpAddr, Ipv6Addr};
+use std::net::{IpAddr, Ipv6Addr, SocketAddr};
 use std::sync::Arc;
 
 use axum::extract::{Request, State};
@@ -56,7 +56,7 @@ impl Access {
         let forwarded =
             headers.get_all("x-forwarded-for").iter().next_back().filter(|_| self.trust_forwarded);
         let last = forwarded.and_then(|value| value.to_str().ok()?.rsplit(',').next());
-        last.and_then(|hop| hop.trim().parse().ok()).or(peer)
+        last.and_then(|hop| address_of(hop.trim())).or(peer)
     }
 
     /// Whether a path needs no key.
@@ -87,8 +87,14 @@ fn key(headers: &HeaderMap) -> Option<&[u8]> {
     }
 }
 
+/// The address that a proxy names; some add the port.
+fn address_of(hop: &str) -> Option<IpAddr> {
+    let with_port = || hop.parse().ok().map(|address: SocketAddr| address.ip());
+    hop.parse().ok().or_else(with_port)
+}
+
 /// The name of a client by its address; of a whole network of IPv6, since a household has one.
-fn network(address: Option<IpAddr>) -> String {
+pub(super) fn network(address: Option<IpAddr>) -> String {
     match address.map(|address| address.to_canonical()) {
         None => String::new(),
         Some(IpAddr::V4(address)) => address.to_string(),

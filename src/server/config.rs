@@ -9,6 +9,9 @@ use crate::backend::ModelName;
 use crate::formats::Format;
 use crate::jobs::Settings;
 
+/// Connections of one address where nothing is said of them: browsers open several, each for many requests.
+const LEAST_CONNECTIONS: usize = 32;
+
 /// All settings of a server. [`Config::default`] suits one machine behind a reverse proxy.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Config {
@@ -39,6 +42,8 @@ pub struct Limits {
     pub held_bytes: u64,
     /// Connections open at a time (`--max-connections`); more wait in the system's backlog.
     pub connections: usize,
+    /// Those of one address (`--client-connections`); more are closed. 0 is a quarter of all, and 32 at least.
+    pub client_connections: usize,
 }
 
 /// How long the server waits for whom.
@@ -96,12 +101,22 @@ pub enum ConfigError {
 }
 
 impl Config {
+    /// Connections that one address may have open. Behind a proxy all have its address.
+    pub(super) fn client_connections(&self) -> usize {
+        match self.limits.client_connections {
+            0 if self.access.trust_forwarded => self.limits.connections,
+            0 => (self.limits.connections / 4).max(LEAST_CONNECTIONS),
+            set => set,
+        }
+    }
+
     /// Checks that a request within all limits can be answered.
     ///
     /// # Errors
     /// See [`ConfigError`].
     pub fn validate(&self) -> Result<(), ConfigError> {
-        let Limits { body_bytes, points_in, points_out, held_bytes, connections } = self.limits;
+        let Limits { body_bytes, points_in, points_out, held_bytes, connections, client_connections: _ } =
+            self.limits;
         let Timeouts { head, stall, request, lead: _, drain: _ } = self.timeouts;
         for (setting, zero) in [
             ("--max-body-bytes", body_bytes == 0),
@@ -143,6 +158,7 @@ impl Default for Limits {
             points_out: 4_000_000,
             held_bytes: 2 << 30,
             connections: 1024,
+            client_connections: 0,
         }
     }
 }

@@ -4,7 +4,7 @@
 //! | file | holds |
 //! |---|---|
 //! | `accept` | the loop that accepts connections, and each connection's life |
-//! | `activity` | when a connection counts as dead |
+//! | `activity` | when a connection, or an answer on one, counts as dead |
 //! | `app` | what handlers share; the table of paths |
 //! | `record` | around each request: id, log, metrics |
 //! | `upsample` | the handler, from body to body |
@@ -17,6 +17,7 @@
 //! | `problem` | every failure, its status and its words: the one table |
 //! | `openapi` | the interface described, for programs and for people |
 //! | `client`, `keys` | who asks |
+//! | `parsing` | turns at parsing, fair among clients |
 //! | `ticket`, `deadline` | what a request has been promised: points, and until when |
 //! | `cors` | pages from other sites |
 //! | `config`, `budget`, `readiness`, `metrics`, `request_id` | one noun each |
@@ -48,6 +49,7 @@ mod jobs_work;
 mod keys;
 mod metrics;
 mod openapi;
+mod parsing;
 mod problem;
 mod query;
 mod readiness;

@@ -1,7 +1,7 @@
 //! Around every request: its id, its line in the log, its place in the metrics.
 
 use std::pin::Pin;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::task::{Context, Poll};
 use std::time::Instant;
 
@@ -52,7 +52,7 @@ impl Ongoing {
 
     /// From now on it is the client who is waited for.
     pub(super) fn sending(&self) {
-        if let Some(busy) = &mut self.told().busy {
+        if let Some(busy) = &self.told().busy {
             busy.sending();
         }
     }
@@ -86,7 +86,7 @@ pub(super) async fn record(State(app): State<Arc<App>>, mut request: Request, ne
     let ongoing = Ongoing::default();
     ongoing.told().busy = busy;
     request.extensions_mut().insert(ongoing.clone());
-    let is_grpc = grpc::is_call(request.headers());
+    let is_grpc = grpc::is_call(&request);
     let interface = if is_grpc { Interface::Grpc } else { Interface::Http };
     let mut record = Record::begin(app, request.uri().path(), span.clone(), interface, ongoing);
     let inference = inference::is_path(request.uri().path());
@@ -187,8 +187,11 @@ impl Drop for Record {
     }
 }
 
-/// A response's body that carries its request's record.
-struct Recorded {
+/// A response's body that carries its request's record. What it holds can be taken from it: hyper asks a body for
+/// nothing, and so would never drop it, while its reader takes nothing.
+struct Recorded(Arc<Mutex<Option<Sending>>>);
+
+struct Sending {
     body: Body,
     record: Record,
     /// The outcome once everything is sent.
@@ -200,11 +203,32 @@ struct Recorded {
 
 impl Recorded {
     fn new(body: Body, record: Record, verdict: &'static str, left: Option<u64>) -> Self {
-        let mut recorded = Self { body, record, verdict, left };
-        recorded.sent(0);
+        let mut sending = Sending { body, record, verdict, left };
+        sending.sent(0);
+        let ongoing = sending.record.ongoing.clone();
+        let recorded = Self(Arc::new(Mutex::new(Some(sending))));
+        if let Some(busy) = &ongoing.told().busy {
+            let slot = Arc::downgrade(&recorded.0);
+            busy.ended_by(move || end(&slot));
+        }
         recorded
     }
 
+    fn sending(&self) -> MutexGuard<'_, Option<Sending>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// Takes from a response what it holds; its reader is told when it comes back.
+fn end(slot: &Weak<Mutex<Option<Sending>>>) {
+    let Some(slot) = slot.upgrade() else { return };
+    let taken = slot.lock().unwrap_or_else(PoisonError::into_inner).take();
+    if let Some(mut sending) = taken {
+        sending.record.why = Some("the client took nothing of its answer for too long".into());
+    }
+}
+
+impl Sending {
     fn sent(&mut self, bytes: u64) {
         self.left = self.left.map(|left| left.saturating_sub(bytes));
         if self.left == Some(0) {
@@ -218,9 +242,27 @@ impl HttpBody for Recorded {
     type Error = axum::Error;
 
     fn poll_frame(
-        mut self: Pin<&mut Self>,
+        self: Pin<&mut Self>,
         context: &mut Context<'_>,
     ) -> Poll<Option<Result<Frame<Bytes>, axum::Error>>> {
+        let mut sending = self.sending();
+        match &mut *sending {
+            Some(sending) => sending.poll_frame(context),
+            None => Poll::Ready(Some(Err(axum::Error::new("the answer was given up")))),
+        }
+    }
+
+    fn is_end_stream(&self) -> bool {
+        self.sending().as_ref().is_some_and(|sending| sending.body.is_end_stream())
+    }
+
+    fn size_hint(&self) -> SizeHint {
+        self.sending().as_ref().map(|sending| sending.body.size_hint()).unwrap_or_default()
+    }
+}
+
+impl Sending {
+    fn poll_frame(&mut self, context: &mut Context<'_>) -> Poll<Option<Result<Frame<Bytes>, axum::Error>>> {
         let polled = Pin::new(&mut self.body).poll_frame(context);
         match &polled {
             Poll::Pending => {}
@@ -242,13 +284,5 @@ impl HttpBody for Recorded {
             }
         }
         polled
-    }
-
-    fn is_end_stream(&self) -> bool {
-        self.body.is_end_stream()
-    }
-
-    fn size_hint(&self) -> SizeHint {
-        self.body.size_hint()
     }
 }

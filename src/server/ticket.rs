@@ -34,6 +34,11 @@ impl Ticket {
         Self { app: Arc::clone(app), caller, deadline, reserved: None }
     }
 
+    /// Whose it is.
+    pub(super) fn client(&self) -> &Client {
+        &self.caller.client
+    }
+
     /// Refuses at once where not even one point could be taken: before anything of the body is read.
     ///
     /// # Errors

@@ -33,8 +33,8 @@ pub(super) struct Received {
 
 /// How long, and how much of, a refused body is read and thrown away, so that the client finds the
 /// answer before the connection closes under it.
-const LINGER: Duration = Duration::from_secs(2);
-const LINGER_BYTES: usize = 64 << 20;
+const LINGER: Duration = Duration::from_secs(10);
+const LINGER_BYTES: usize = 512 << 20;
 
 /// Bytes after which text tells its format.
 const SNIFF: usize = 4096;
@@ -121,12 +121,7 @@ impl Upload {
                 Err(_) => return Err(Problem::UploadStalled { limit: stall }),
                 Ok(None) => return Ok(None),
                 // What is sent in messages, and not as one file, may be wrong in itself.
-                Ok(Some(Err(error))) => {
-                    return Err(match error.into_inner().downcast::<Problem>() {
-                        Ok(problem) => *problem,
-                        Err(error) => Problem::Interrupted(error.to_string()),
-                    });
-                }
+                Ok(Some(Err(error))) => return Err(broken(error)),
                 // Trailers are no part of a cloud.
                 Ok(Some(Ok(frame))) => {
                     if let Ok(data) = frame.into_data() {
@@ -135,6 +130,22 @@ impl Upload {
                 }
             }
         }
+    }
+}
+
+/// Why a body broke. What is a problem of ours comes in a wrapping or two.
+fn broken(error: axum::Error) -> Problem {
+    let mut error = error.into_inner();
+    loop {
+        error = match error.downcast::<axum::Error>() {
+            Ok(wrapped) => wrapped.into_inner(),
+            Err(error) => {
+                return match error.downcast::<Problem>() {
+                    Ok(problem) => *problem,
+                    Err(error) => Problem::Interrupted(error.to_string()),
+                };
+            }
+        };
     }
 }
 

@@ -24,7 +24,7 @@ use super::record::Points;
 use super::ticket::Ticket;
 use super::upload::{Received, Upload};
 use crate::cascade::Settings;
-use crate::cloud::{Cloud, Origin, Table, bytes_a_point};
+use crate::cloud::{Cloud, Origin, Table};
 use crate::engine::{Client, EngineError, Job, Outcome, Request};
 use crate::formats::Format;
 use crate::provenance;
@@ -63,9 +63,9 @@ async fn answer(
     ticket.deadline.enter("of upload");
     let known = |points_in, points_out| ticket.reserve(points_in, points_out);
     let Asking { parameters, received, .. } = Asking::receive(upload, uri, headers, app, known).await?;
-    let took = received.took;
+    let arrived = (received.bytes().len(), received.took);
     let read = move |app: &App| Ok((Order::read(app, &received, parameters, wanted)?, ()));
-    let (done, ()) = run(app, ticket, took, read, |_| {}).await?;
+    let (done, ()) = run(app, ticket, arrived, read, |_| {}).await?;
     let points = done.points();
     let length = done.format.encoded_len(points.made, &done.dense.attributes, &done.dense.origin);
     let mut headers = done.headers();
@@ -127,12 +127,12 @@ impl Done {
     }
 }
 
-/// Upsamples what `read` makes of a body that took `upload` to arrive, for the holder of a ticket; `read` runs on a
+/// Upsamples what `read` makes of a body of so many `bytes` that took `upload` to arrive, for the holder of a ticket; `read` runs on a
 /// blocking thread, and what else it gives comes back with the result. `begun` is shown the job when the engine has taken it.
 pub(super) async fn run<T: Send + 'static>(
     app: &Arc<App>,
     ticket: Ticket,
-    upload: Duration,
+    (bytes, upload): (usize, Duration),
     read: impl FnOnce(&App) -> Result<(Order, T), Problem> + Send + 'static,
     begun: impl FnOnce(&Job),
 ) -> Result<(Done, T), Problem> {
@@ -141,10 +141,12 @@ pub(super) async fn run<T: Send + 'static>(
     let start = Instant::now();
     let deadline = ticket.deadline.clone();
     deadline.enter("of parsing");
+    let turn = app.parsing.turn(ticket.client(), bytes as u64).await;
     let submit = {
         let app = Arc::clone(app);
         spawn_blocking(move || {
             let (order, rest) = read(&app)?;
+            drop(turn);
             Ok::<_, Problem>((submit(&app, ticket, order)?, rest))
         })
     };
@@ -254,7 +256,7 @@ pub(super) fn prepare(app: &App, order: Order) -> Result<Prepared, Problem> {
     let (mut origin, lost) = finish.origin(&cloud);
     warnings.extend(lost);
     let tables = origin.tables.iter().map(Table::bytes).sum();
-    let a_point = bytes_a_point(&cloud.attributes) + finish.bytes_a_point();
+    let a_point = finish.bytes_a_point(&cloud.attributes);
     let room = result_bytes(points, a_point, format).saturating_add(tables);
     let limit = app.config.limits.held_bytes;
     if room > limit {

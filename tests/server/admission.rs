@@ -262,6 +262,8 @@ fn behind_a_proxy_clients_are_told_apart_by_what_it_forwards() {
     server.wait_for_work();
     let same = server.ask("POST", "/upsample?ratio=4", &of("10.0.0.9, 10.0.0.1"), &body());
     is_refused(&same, 429, "client-share");
+    let same = server.ask("POST", "/upsample?ratio=4", &of("10.0.0.1:4711"), &body());
+    is_refused(&same, 429, "client-share");
     let other = server.begin("POST", "/upsample?ratio=4", &of("10.0.0.1, 10.0.0.2"), &body());
     wait_until("the other's is queued", || server.engine.queued_points() == 800);
     backend.open();

@@ -173,6 +173,8 @@ fn a_result_that_never_fits_is_refused_for_good() {
     let reply = server.post("/upsample?points=1000", body.as_bytes());
     assert_eq!(reply.status, 413, "{}", reply.text());
     assert!(reply.text().contains("result-too-large"), "{}", reply.text());
+    let reply = server.post("/upsample?points=1000&attributes=t:drop", body.as_bytes());
+    assert_eq!(reply.status, 200, "as it says: {}", reply.text());
 }
 
 #[test]

@@ -235,7 +235,7 @@ fn limits() -> Limits {
 fn each_kind_of_bad_request_has_its_status_and_says_why() {
     let server = Server::start(&Scripted::new(), Config { limits: limits(), ..Config::default() });
     type Edit = fn(&mut Body);
-    let cases: [(Edit, u16, &str); 29] = [
+    let cases: [(Edit, u16, &str); 31] = [
         (|b| b.json["parameters"] = json!({}), 400, "ratio: missing"),
         (|b| b.json["parameters"] = json!({ "ratio": 65 }), 400, "ratio"),
         (|b| b.json["parameters"] = json!({ "ratio": "x" }), 400, "ratio"),
@@ -260,6 +260,16 @@ fn each_kind_of_bad_request_has_its_status_and_says_why() {
             |b| b.json["outputs"] = json!([{ "name": "points", "parameters": { "classification": 3 } }]),
             400,
             "classification",
+        ),
+        (
+            |b| b.json["outputs"] = json!([{ "name": "points", "parameters": { "binary_data": 7 } }]),
+            400,
+            "binary_data is 7",
+        ),
+        (
+            |b| b.json["parameters"] = json!({ "ratio": 2, "binary_data_output": "maybe" }),
+            400,
+            "binary_data_output is maybe",
         ),
         (|b| b.binary.as_mut().expect("data").truncate(1199), 400, "bytes"),
         (|b| b.binary.as_mut().expect("data").push(0), 400, "bytes"),

@@ -359,7 +359,9 @@ fn a_job_that_is_over_is_forgotten_in_time_and_its_key_with_it() {
     backend.open();
     wait_until("it is forgotten", || server.get(&path).status == 404);
     assert_eq!(server.get(&format!("{path}/result")).problem_name(), "no-such-job");
-    assert_eq!(std::fs::read_dir(folder.path().join("files")).expect("a folder").count(), 0);
+    let files = || std::fs::read_dir(folder.path().join("files")).expect("a folder").count();
+    // A row goes before its files.
+    wait_until("its files are gone", || files() == 0);
     assert_eq!(ask().status, 202, "the key is free again");
 }
 

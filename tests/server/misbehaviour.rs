@@ -6,7 +6,7 @@ use densecloud::backend::Fake;
 use densecloud::formats::Format;
 use densecloud::server::Config;
 
-use crate::support::{PLY, Reply, Scripted, Server, cloud, encode, narrow, wait_until};
+use crate::support::{Client, PLY, Reply, Scripted, Server, cloud, encode, narrow, wait_until};
 
 /// Impatient, so that tests are quick.
 fn impatient() -> Config {
@@ -122,6 +122,75 @@ fn a_reader_that_stops_reading_is_cut_off() {
     assert_eq!(Reply::parse(&whole), None, "the response must not look complete");
     let cancelled = "densecloud_requests_total{interface=\"http\",outcome=\"cancelled\"}";
     wait_until("it is counted", || server.metric(cancelled) == 1.0);
+}
+
+#[test]
+fn a_reader_that_stops_reading_on_http2_ends_its_own_answer_alone() {
+    use http_body_util::{BodyExt, Full};
+    use hyper::Request;
+    use hyper::body::Bytes;
+    use hyper_util::rt::{TokioExecutor, TokioIo};
+    use tokio::task::block_in_place;
+
+    let backend = Scripted::new();
+    let server = Server::start(&backend, impatient());
+    let request = |method: &str, target: &str, body: Vec<u8>| {
+        let url = format!("http://{}{target}", server.address);
+        Request::builder().method(method).uri(url).body(Full::new(Bytes::from(body))).unwrap()
+    };
+    let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build().unwrap();
+    runtime.block_on(async {
+        let stream = tokio::net::TcpStream::connect(server.address).await.unwrap();
+        let mut builder = hyper::client::conn::http2::Builder::new(TokioExecutor::new());
+        builder.initial_stream_window_size(1 << 16);
+        let (mut sender, connection) = builder.handshake(TokioIo::new(stream)).await.unwrap();
+        tokio::spawn(connection);
+        let stalled = sender.send_request(request("POST", LARGE, large())).await.unwrap();
+        assert_eq!(stalled.status(), 200);
+        backend.shut();
+        let small = encode(&cloud(100), PLY);
+        let working = tokio::spawn(sender.send_request(request("POST", "/upsample?ratio=2", small)));
+        block_in_place(|| server.wait_for_work());
+        // Neither keeps what asks again and again alive what is not read, nor does that end what is worked on.
+        let result = 200.0 * 24.0;
+        let start = std::time::Instant::now();
+        while block_in_place(|| server.metric("densecloud_held_bytes")) > result {
+            assert!(start.elapsed() < crate::support::PATIENCE, "it is given back");
+            let probe = sender.send_request(request("GET", "/healthz", Vec::new())).await.unwrap();
+            assert_eq!(probe.status(), 200);
+        }
+        backend.open();
+        let answer = working.await.unwrap().expect("the other is answered");
+        let length: usize = answer.headers()["content-length"].to_str().unwrap().parse().unwrap();
+        assert_eq!(answer.into_body().collect().await.unwrap().to_bytes().len(), length);
+        assert!(stalled.into_body().collect().await.is_err(), "it must not look complete");
+    });
+    let cancelled = "densecloud_requests_total{interface=\"http\",outcome=\"cancelled\"}";
+    assert_eq!(server.metric(cancelled), 1.0);
+}
+
+#[test]
+fn one_address_does_not_take_all_connections() {
+    let mut config = Config::default();
+    config.limits.client_connections = 3;
+    let server = Server::start(&Scripted::new(), config);
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+    let from = |address: &str| {
+        let socket = tokio::net::TcpSocket::new_v4().unwrap();
+        socket.bind(format!("{address}:0").parse().unwrap()).unwrap();
+        let stream = runtime.block_on(socket.connect(server.address)).unwrap().into_std().unwrap();
+        stream.set_nonblocking(false).unwrap();
+        Client::of(stream)
+    };
+    let served = |mut client: Client| {
+        client.try_send(b"GET /healthz HTTP/1.1\r\nhost: x\r\nconnection: close\r\n\r\n");
+        Reply::parse(&client.rest()).is_some_and(|reply| reply.status == 200)
+    };
+    let idle: Vec<Client> = (0..3).map(|_| from("127.0.0.2")).collect();
+    wait_until("no further one is served", || !served(from("127.0.0.2")));
+    assert!(served(from("127.0.0.3")), "those of others are");
+    drop(idle);
+    wait_until("there is room again", || served(from("127.0.0.2")));
 }
 
 #[test]

@@ -65,6 +65,13 @@ fn a_refusal_names_what_is_wrong_and_what_lifts_the_limit() {
 }
 
 #[test]
+fn a_type_of_grpc_makes_no_call_of_a_plain_request() {
+    let server = Server::start(&Scripted::new(), Config::default());
+    let reply = server.ask("POST", "/upsample?ratio=999", "content-type: application/grpc\r\n", b"");
+    assert_eq!((reply.status, reply.problem_name().as_str()), (400, "invalid-parameter"));
+}
+
+#[test]
 fn methods_and_compression_that_are_not_taken_say_what_is() {
     let server = Server::start(&Scripted::new(), Config::default());
     let reply = server.get("/upsample?ratio=4");

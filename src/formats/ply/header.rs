@@ -1,13 +1,15 @@
 //! The header of a PLY file.
 
+use std::collections::HashSet;
 use std::io::Read;
 
 use super::super::source::Source;
 use super::super::{FormatError, PlyEncoding};
 use crate::cloud::Kind;
 
-/// More lines than any real header has; bounds what a hostile one costs.
+/// More lines and bytes than any real header has; they bound what a hostile one costs.
 const MAX_LINES: usize = 10_000;
+const MAX_BYTES: usize = 1 << 20;
 
 /// Everything before the data.
 #[derive(Debug, PartialEq, Eq)]
@@ -51,10 +53,19 @@ pub(in super::super) fn parse<R: Read>(source: &mut Source<R>) -> Result<PlyHead
     let mut encoding = None;
     let mut elements: Vec<Element> = Vec::new();
     let mut comments = Vec::new();
+    let mut element_names = HashSet::new();
+    // Of the last element.
+    let mut property_names = HashSet::new();
+    let mut bytes = 0;
     for number in 0..MAX_LINES {
         let Some(range) = source.next_line()? else {
             return Err(FormatError::truncated(source.line(), "the PLY header has no `end_header`"));
         };
+        bytes += range.len();
+        if bytes > MAX_BYTES {
+            let why = format!("the PLY header is longer than {MAX_BYTES} bytes");
+            return Err(FormatError::malformed(source.line(), why));
+        }
         let line = String::from_utf8_lossy(source.bytes(range)).into_owned();
         let words: Vec<&str> = line.split_ascii_whitespace().collect();
         let bad = |why: String| FormatError::malformed(source.line(), why);
@@ -75,12 +86,13 @@ pub(in super::super) fn parse<R: Read>(source: &mut Source<R>) -> Result<PlyHead
                 encoding = Some(parse_encoding(name, version).map_err(bad)?);
             }
             (_, ["element", name, count]) => {
-                if elements.iter().any(|e| e.name == *name) {
+                if !element_names.insert((*name).to_owned()) {
                     return Err(bad(format!("the element `{name}` is declared twice")));
                 }
                 let count = count
                     .parse()
                     .map_err(|_| bad(format!("`{count}` is not a number of `{name}` elements")))?;
+                property_names.clear();
                 elements.push(Element { name: (*name).to_owned(), count, properties: Vec::new() });
             }
             (_, ["property", rest @ ..]) => {
@@ -88,7 +100,7 @@ pub(in super::super) fn parse<R: Read>(source: &mut Source<R>) -> Result<PlyHead
                     return Err(bad("a `property` before any `element`".into()));
                 };
                 let property = parse_property(rest).map_err(bad)?;
-                if element.properties.iter().any(|p| p.name == property.name) {
+                if !property_names.insert(property.name.clone()) {
                     let why = format!("`{}` has the property `{}` twice", element.name, property.name);
                     return Err(bad(why));
                 }
@@ -258,5 +270,8 @@ mod tests {
         assert!(matches!(error, FormatError::Truncated { .. }), "{error}");
         let endless = "ply\n".to_owned() + &"comment\n".repeat(MAX_LINES);
         assert!(parse_text(endless.as_bytes()).is_err());
+        let long = format!("ply\n{}", format!("comment {}\n", "x".repeat(MAX_BYTES / 4)).repeat(5));
+        let error = parse_text(long.as_bytes()).expect_err("too long");
+        assert!(error.to_string().contains("bytes"), "{error}");
     }
 }

@@ -23,7 +23,7 @@ use std::sync::Arc;
 use axum::Router;
 use axum::body::Body;
 use axum::extract::{Request, State};
-use axum::http::{HeaderMap, Version, header};
+use axum::http::{Version, header};
 use axum::middleware::{self, Next};
 use axum::response::{IntoResponse, Response};
 use futures::StreamExt;
@@ -83,9 +83,10 @@ fn described() -> Builder<'static> {
 }
 
 /// Whether a request is a call: what its errors look like follows from it.
-pub(super) fn is_call(headers: &HeaderMap) -> bool {
-    let kind = headers.get(header::CONTENT_TYPE).map(|value| value.as_bytes());
-    kind.is_some_and(|kind| kind.starts_with(b"application/grpc"))
+/// HTTP/1.1 has no place for a status that comes last.
+pub(super) fn is_call(request: &Request) -> bool {
+    let kind = request.headers().get(header::CONTENT_TYPE).map(|value| value.as_bytes());
+    request.version() == Version::HTTP_2 && kind.is_some_and(|kind| kind.starts_with(b"application/grpc"))
 }
 
 /// Whether a path is asked again and again, to see whether the server is well, or what it offers.
@@ -98,13 +99,9 @@ pub(super) fn refusal(problem: &Problem, request_id: &str) -> Response {
     problem.grpc(request_id).into_http()
 }
 
-/// Hides these paths from everything that is no call. HTTP/1.1 has no place for a status that comes last.
+/// Hides these paths from everything that is no call.
 async fn calls_alone(request: Request, next: Next) -> Response {
-    if is_call(request.headers()) && request.version() == Version::HTTP_2 {
-        next.run(request).await
-    } else {
-        Problem::NotFound.into_response()
-    }
+    if is_call(&request) { next.run(request).await } else { Problem::NotFound.into_response() }
 }
 
 /// Ends the client's side of a call, and so the call, when the server stops.

@@ -162,10 +162,10 @@ impl Call {
         let mut upload = Upload::new(&none, incoming::body(messages, columns));
         let received = upload.receive(&none, app, known).await?;
         drop(half);
-        let took = received.took;
+        let arrived = (received.bytes().len(), received.took);
         let read = move |app: &App| Ok((Order::read(app, &received, parameters, wanted)?, ()));
         let (sender, begun) = oneshot::channel();
-        let work = upsample::run(app, ticket, took, read, |job| {
+        let work = upsample::run(app, ticket, arrived, read, |job| {
             // Nobody listens where the work is over.
             let _ = sender.send(job.progress_handle());
         });

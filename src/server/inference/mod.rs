@@ -140,7 +140,7 @@ async fn answer(
         _ => Ok(()),
     };
     let received = upload.receive_judged(headers, app, judge).await?;
-    let took = received.took;
+    let arrived = (received.bytes().len(), received.took);
     let read = move |app: &App| {
         let (json, binary) = split(received.bytes(), header)?;
         let request = read(json)?;
@@ -152,7 +152,7 @@ async fn answer(
         // To the rest, a tensor is a NumPy array.
         Ok((Order { cloud, parameters, input, wanted: None }, reply))
     };
-    let (mut done, reply) = upsample::run(app, ticket, took, read, |_| {}).await?;
+    let (mut done, reply) = upsample::run(app, ticket, arrived, read, |_| {}).await?;
     if done.format != (Format::Npy { scalar: reply.datatype.scalar(), fields: false }) {
         let why = "FP32 is too coarse for these coordinates and this many points; send FP64";
         done.about.warnings.push(why.into());

@@ -95,7 +95,8 @@ pub(super) fn read(json: &[u8]) -> Result<Request<'_>, Problem> {
     let datatype = check_tensor(&input)?;
     let points = check_shape(&input.shape.0)?;
     let data = place(&input, points.saturating_mul(3 * datatype.width() as u64))?;
-    let binary = pairs.take("binary_data_output").as_deref() == Some("true");
+    let binary = pairs.take("binary_data_output");
+    let binary = binary.map_or(Ok(false), |value| switch("binary_data_output", &value))?;
     let binary = check_outputs(outputs.0)?.unwrap_or(binary);
     // Hints to a scheduler, which need not be followed.
     for hint in ["priority", "timeout"] {
@@ -142,6 +143,10 @@ fn place<'a>(input: &Input<'a>, bytes: u64) -> Result<Data<'a>, Problem> {
     }
 }
 
+fn switch(name: &str, value: &str) -> Result<bool, Problem> {
+    value.parse().map_err(|_| malformed(format!("{name} is {value}; it must be true or false")))
+}
+
 /// Whether the output shall be binary, where the request says so of it.
 fn check_outputs(outputs: Vec<Output>) -> Result<Option<bool>, Problem> {
     if outputs.len() > 1 {
@@ -154,7 +159,7 @@ fn check_outputs(outputs: Vec<Output>) -> Result<Option<bool>, Problem> {
     let mut binary = None;
     for (name, value) in &parameters.0 {
         match name.as_str() {
-            "binary_data" => binary = Some(value == "true"),
+            "binary_data" => binary = Some(switch("binary_data", value)?),
             // Shared memory, or a classification.
             _ => return Err(malformed(format!("output {TENSOR:?}: {name} is not supported"))),
         }

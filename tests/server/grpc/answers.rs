@@ -181,6 +181,8 @@ async fn what_is_wrong_is_named() {
         let details = status.get_error_details();
         let id = &details.request_info().expect("info").request_id;
         assert!(!id.is_empty(), "{part}");
+        let reason = &details.error_info().expect("info").reason;
+        assert_ne!(reason, "INTERRUPTED_BODY", "{part}");
     }
     assert_eq!(server.engine.queued_points(), 0);
     wait_until("all is given back", || server.metric("densecloud_held_bytes") == 0.0);
