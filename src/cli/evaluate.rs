@@ -156,7 +156,7 @@ pub(super) fn run(args: &EvaluateArgs) -> Result<(), CliError> {
         };
         shape.score(args, cascade.as_ref(), &mut rows)?;
         if !args.quiet {
-            eprintln!("densecloud: {name} ({} of {})", i + 1, names.len());
+            super::note(&format!("{name} ({} of {})", i + 1, names.len()));
         }
     }
     let shown = |path: &Path| path.display().to_string();
@@ -250,7 +250,7 @@ fn print(report: &Report, json: Option<&Path>) -> Result<(), CliError> {
             return Ok(());
         }
     }
-    files::write(Path::new("-"), |sink| Ok(write!(sink, "{report}")?))
+    files::print(&report.to_string())
 }
 
 fn failed(error: impl std::fmt::Display) -> CliError {

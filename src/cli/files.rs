@@ -1,7 +1,7 @@
 //! Files and standard streams as the commands name them: `-` is a standard stream.
 
-use std::fs::File;
-use std::io::{self, BufReader, BufWriter, Write};
+use std::fs::{self, File};
+use std::io::{self, BufReader, BufWriter, ErrorKind, Write};
 use std::path::{Path, PathBuf};
 
 use super::CliError;
@@ -46,28 +46,72 @@ pub(super) fn write_cloud(
     })
 }
 
-/// Writes a file with `encode`, `-` to standard output. A file is made beside its name and
-/// renamed, so that no failure leaves half a file under that name.
+/// Prints to standard output. A reader that has seen enough may close the pipe.
+pub(super) fn print(text: &str) -> Result<(), CliError> {
+    let mut stdout = io::stdout().lock();
+    match stdout.write_all(text.as_bytes()).and_then(|()| stdout.flush()) {
+        Err(why) if why.kind() != ErrorKind::BrokenPipe => Err(CliError::file("-", why)),
+        _ => Ok(()),
+    }
+}
+
+/// What the name of an output stands for.
+enum Output {
+    Stdout,
+    /// A file of this name, which need not be there yet.
+    File(PathBuf),
+    /// A device or a named pipe.
+    Device,
+}
+
+impl Output {
+    /// Follows links: what is written is what they lead to, and they stay.
+    fn of(path: &Path) -> io::Result<Self> {
+        // The second is a link to whatever standard output is; as a file, it would lose what others wrote there.
+        if is_stream(path) || path == Path::new("/dev/stdout") {
+            return Ok(Self::Stdout);
+        }
+        match fs::metadata(path) {
+            Ok(there) if there.is_dir() => return Err(ErrorKind::IsADirectory.into()),
+            Ok(there) if !there.is_file() => return Ok(Self::Device),
+            Err(why) if why.kind() != ErrorKind::NotFound => return Err(why),
+            _ => {}
+        }
+        // Not `canonicalize`, which knows no link to what is not there yet.
+        let mut file = path.to_owned();
+        while let Ok(link) = fs::read_link(&file) {
+            file = file.parent().unwrap_or(Path::new("")).join(link);
+        }
+        Ok(Self::File(file))
+    }
+}
+
+/// Whether an output is a file, which another one may lie beside.
+pub(super) fn is_kept(path: &Path) -> bool {
+    matches!(Output::of(path), Ok(Output::File(_)))
+}
+
+/// Writes an output with `encode`, `-` to standard output. A file is made beside its name and renamed, so that no
+/// failure leaves half a file under that name; a device or a named pipe is written to as it is.
 pub(super) fn write(
     path: &Path,
     encode: impl FnOnce(&mut dyn Write) -> Result<(), Box<dyn std::error::Error>>,
 ) -> Result<(), CliError> {
-    if is_stream(path) {
-        let mut sink = BufWriter::new(io::stdout().lock());
-        return encode(&mut sink).and_then(|()| Ok(sink.flush()?)).map_err(|why| CliError::file(path, why));
-    }
-    let part = beside(path, ".part");
-    let file = File::create(&part).map_err(|why| CliError::file(path, why))?;
-    let mut sink = BufWriter::with_capacity(1 << 20, file);
-    let written = encode(&mut sink).and_then(|()| Ok(sink.flush()?)).and_then(|()| {
-        std::fs::rename(&part, path)?;
-        Ok(())
-    });
-    written.map_err(|why| {
-        // The first error is the one to report.
-        let _ = std::fs::remove_file(&part);
-        CliError::file(path, why)
-    })
+    let unmade = |why: io::Error| CliError::file(path, why);
+    let through = |sink: &mut dyn Write| {
+        let mut sink = BufWriter::with_capacity(1 << 20, sink);
+        encode(&mut sink).and_then(|()| Ok(sink.flush()?)).map_err(|why| CliError::file(path, why))
+    };
+    let target = match Output::of(path).map_err(unmade)? {
+        Output::Stdout => return through(&mut io::stdout().lock()),
+        Output::Device => return through(&mut File::options().write(true).open(path).map_err(unmade)?),
+        Output::File(target) => target,
+    };
+    let part = beside(&target, ".part");
+    let mut file = File::create(&part).map_err(unmade)?;
+    let written = through(&mut file).and_then(|()| fs::rename(&part, &target).map_err(unmade));
+    // The first error is the one to report.
+    written.inspect_err(|_| drop(fs::remove_file(&part)))
 }
 
 #[cfg(test)]
@@ -86,5 +130,51 @@ mod tests {
         assert!(matches!(failed, Err(CliError::File { .. })));
         assert_eq!(read_cloud(&path).expect("a cloud").0.positions, [[1.0, 2.0, 3.0]]);
         assert_eq!(std::fs::read_dir(dir.path()).expect("a folder").count(), 1, "a part was left");
+    }
+
+    #[test]
+    fn a_link_stays_and_what_it_leads_to_is_written() {
+        let dir = tempfile::tempdir().expect("a folder");
+        std::fs::create_dir(dir.path().join("kept")).expect("a folder");
+        let (link, further) = (dir.path().join("link"), dir.path().join("kept/further"));
+        std::os::unix::fs::symlink("kept/further", &link).expect("a link");
+        std::os::unix::fs::symlink("cloud", &further).expect("a link");
+        // At first nothing is there.
+        for text in ["one", "another"] {
+            assert!(is_kept(&link));
+            write(&link, |sink| Ok(sink.write_all(text.as_bytes())?)).expect("a file");
+            assert_eq!(std::fs::read_to_string(dir.path().join("kept/cloud")).expect("a file"), text);
+        }
+        assert!(link.is_symlink() && further.is_symlink());
+        assert_eq!(
+            std::fs::read_dir(dir.path().join("kept")).expect("a folder").count(),
+            2,
+            "a part was left"
+        );
+    }
+
+    #[test]
+    fn a_named_pipe_is_written_to_and_stays() {
+        use std::os::unix::fs::FileTypeExt;
+        let dir = tempfile::tempdir().expect("a folder");
+        let pipe = dir.path().join("pipe");
+        assert!(std::process::Command::new("mkfifo").arg(&pipe).status().expect("mkfifo").success());
+        assert!(!is_kept(&pipe) && !is_kept(Path::new("-")));
+        let reader = std::thread::spawn({
+            let pipe = pipe.clone();
+            move || std::fs::read_to_string(pipe)
+        });
+        write(&pipe, |sink| Ok(sink.write_all(b"points")?)).expect("a pipe");
+        // Before it is waited for: where the pipe has become a file, its reader waits for ever.
+        assert!(std::fs::metadata(&pipe).expect("a pipe").file_type().is_fifo());
+        assert_eq!(reader.join().expect("no panic").expect("text"), "points");
+        assert_eq!(std::fs::read_dir(dir.path()).expect("a folder").count(), 1);
+    }
+
+    #[test]
+    fn a_folder_is_no_output() {
+        let dir = tempfile::tempdir().expect("a folder");
+        let never = |_: &mut dyn Write| panic!("a folder was written to");
+        assert!(matches!(write(dir.path(), never), Err(CliError::File { .. })));
     }
 }

@@ -1,6 +1,5 @@
 //! `densecloud inspect`: what a cloud is like, and what upsampling it would take. No model.
 
-use std::io::Write;
 use std::path::PathBuf;
 
 use clap::Args;
@@ -63,9 +62,7 @@ pub(super) fn run(args: &InspectArgs) -> Result<(), CliError> {
     let inspection =
         Inspection { cloud: &cloud, format: header.format, survey: &survey, strays, made, ratio: args.ratio };
     let text = if args.json { format!("{:#}\n", inspection.json()) } else { inspection.text() };
-    // A reader that has seen enough may close the pipe.
-    let _ = std::io::stdout().lock().write_all(text.as_bytes());
-    Ok(())
+    files::print(&text)
 }
 
 struct Inspection<'a> {

@@ -3,6 +3,7 @@
 //! Exit codes: 0 done, 1 the work failed, 64 the command or a setting was wrong (`EX_USAGE`).
 
 mod cascade_args;
+mod connection;
 mod engine_args;
 mod error;
 mod evaluate;
@@ -61,7 +62,7 @@ pub fn main() -> ExitCode {
             // Help and version go to stdout and are no failure; a closed pipe is nobody's concern.
             let _ = error.print();
             if let Some(file) = file.filter(|_| error.use_stderr()) {
-                eprintln!("Some of these are in {}.", file.display());
+                let _ = writeln!(io::stderr(), "Some of these are in {}.", file.display());
             }
             return if error.use_stderr() { ExitCode::from(CliError::USAGE) } else { ExitCode::SUCCESS };
         }
@@ -81,8 +82,13 @@ fn parse(typed: &[OsString]) -> Result<(Arguments, ArgMatches), Refused> {
 }
 
 fn failed(error: &CliError) -> ExitCode {
-    eprintln!("densecloud: {error}");
+    note(&error.to_string());
     ExitCode::from(error.exit_code())
+}
+
+/// Says something on standard error. Where nobody can be told, the work goes on.
+fn note(text: &str) {
+    let _ = writeln!(io::stderr(), "densecloud: {text}");
 }
 
 fn run(command: Command, matches: &ArgMatches) -> Result<(), CliError> {
@@ -93,11 +99,8 @@ fn run(command: Command, matches: &ArgMatches) -> Result<(), CliError> {
         Command::Upsample(args) => upsample::run(&args),
         Command::Evaluate(args) => evaluate::run(&args),
         Command::Serve(args) if args.prints_settings() => {
-            args.check().map(|_| {
-                let page = settings::page(&Arguments::command(), matches);
-                // A reader that has seen enough is nobody's concern.
-                let _ = io::stdout().write_all(page.as_bytes());
-            })
+            args.check()?;
+            files::print(&settings::page(&Arguments::command(), matches))
         }
         Command::Serve(args) => serve::run(&args),
         Command::Job(args) => job::run(&args),

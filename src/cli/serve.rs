@@ -1,6 +1,7 @@
 //! `densecloud serve`: the HTTP server.
 
 use std::io::{self, IsTerminal};
+use std::net::ToSocketAddrs;
 use std::path::{Path, PathBuf};
 use std::process::exit;
 use std::sync::Arc;
@@ -241,6 +242,7 @@ impl ServeArgs {
         let mut config = self.config();
         config.access.keys = self.access.keys()?;
         config.validate().map_err(|e| CliError::Usage(e.to_string()))?;
+        self.check_host()?;
         let filter = EnvFilter::try_new(&self.log)
             .map_err(|e| CliError::Usage(format!("--log {:?}: {e}; try info or debug", self.log)))?;
         if let Some(jobs) = config.jobs.as_ref().filter(|jobs| jobs.folder.exists() && !jobs.folder.is_dir())
@@ -253,6 +255,21 @@ impl ServeArgs {
             None => error,
         })?;
         Ok(Checked { config, model, filter })
+    }
+
+    /// Whether the address can be one at all; whether it can be listened on shows when it is.
+    fn check_host(&self) -> Result<(), CliError> {
+        match (self.host.as_str(), self.port).to_socket_addrs() {
+            // The name may be right, and its server back soon; there is no code for that, only words (glibc's, musl's).
+            Err(why) if ["Temporary failure", "Try again"].iter().any(|w| why.to_string().contains(w)) => {
+                Ok(())
+            }
+            Err(why) => Err(CliError::Usage(format!(
+                "--host {:?}: {why}; give an address of this machine, such as 127.0.0.1, or 0.0.0.0 for all of them",
+                self.host
+            ))),
+            Ok(_) => Ok(()),
+        }
     }
 
     fn config(&self) -> Config {
@@ -495,12 +512,16 @@ fn start_log(filter: EnvFilter, format: LogFormat) -> Result<(), CliError> {
     Ok(())
 }
 
+/// The longest that a duration can be set to, ten years: clocks cannot tell a time that is too far off.
+const LONGEST: Duration = Duration::from_secs(10 * 365 * 24 * 60 * 60);
+
 /// A duration in seconds, decimals allowed.
 fn seconds(text: &str) -> Result<Duration, String> {
     text.parse()
         .ok()
         .and_then(|seconds| Duration::try_from_secs_f64(seconds).ok())
-        .ok_or_else(|| "not a number of seconds".to_owned())
+        .filter(|duration| *duration <= LONGEST)
+        .ok_or_else(|| format!("not a number of seconds from 0 to {} (ten years)", LONGEST.as_secs()))
 }
 
 #[cfg(test)]
@@ -594,8 +615,9 @@ mod tests {
 
     #[test]
     fn a_duration_must_be_one() {
-        for bad in ["-1", "x", "", "nan", "inf", "1e30"] {
+        for bad in ["-1", "x", "", "nan", "inf", "1e30", "1e19", "315360001"] {
             assert!(seconds(bad).is_err(), "{bad}");
         }
+        assert_eq!(seconds("315360000"), Ok(LONGEST));
     }
 }

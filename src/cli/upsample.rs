@@ -105,7 +105,12 @@ pub(super) enum Normals {
 fn parse_position(text: &str) -> Result<Position, String> {
     let numbers: Vec<f64> =
         text.split(',').map(|n| n.trim().parse()).collect::<Result<_, _>>().map_err(|_| "not X,Y,Z")?;
-    numbers.try_into().map_err(|_| "not three numbers X,Y,Z".to_owned())
+    let position: Position = numbers.try_into().map_err(|_| "not three numbers X,Y,Z")?;
+    if position.iter().all(|c| c.is_finite()) {
+        Ok(position)
+    } else {
+        Err("not three finite numbers".to_owned())
+    }
 }
 
 /// What is added to the name of a result whose format has no place for comments.
@@ -118,9 +123,15 @@ pub(super) fn run(args: &UpsampleArgs) -> Result<(), CliError> {
         (_, _, _, Some(density)) => Goal::Density(density),
         (ratio, ..) => Goal::Target(Target::Ratio(ratio.unwrap_or(4.0))),
     };
-    // A bad ratio should be told before a long read.
-    if let Goal::Target(ratio @ Target::Ratio(_)) = goal {
-        ratio.points_out(1).map_err(|e| CliError::Usage(e.to_string()))?;
+    // What no cloud could meet is told before a long read.
+    match goal {
+        Goal::Target(ratio @ Target::Ratio(_)) => {
+            ratio.points_out(1).map_err(|e| CliError::Usage(e.to_string()))?;
+        }
+        Goal::Target(Target::Points(0)) => {
+            return Err(CliError::Usage("--points 0 is none; give 1 to 64 times the points in".into()));
+        }
+        _ => {}
     }
     let wanted = Format::from_extension(&args.output);
     if wanted.is_some_and(|wanted| wanted.written() != wanted) {
@@ -134,7 +145,7 @@ pub(super) fn run(args: &UpsampleArgs) -> Result<(), CliError> {
     let (cloud, header) = files::read_cloud(&args.input)?;
     let note = |text: String| {
         if !args.quiet {
-            eprintln!("densecloud: {text}");
+            super::note(&text);
         }
     };
     for warning in cloud.warnings() {
@@ -143,8 +154,9 @@ pub(super) fn run(args: &UpsampleArgs) -> Result<(), CliError> {
 
     let points_in = cloud.positions.len();
     let target = goal.target(&cloud.positions).map_err(|e| match e {
-        GoalError::Cloud(_) => CliError::file(&args.input, e),
-        _ => CliError::Usage(e.to_string()),
+        GoalError::NotPositive { .. } => CliError::Usage(e.to_string()),
+        // As with --points, it depends on the cloud whether that is wrong.
+        GoalError::OutOfRange { .. } | GoalError::Cloud(_) => CliError::file(&args.input, e),
     })?;
     let mut format = Format::of_result(wanted, header.format, !cloud.attributes.is_empty());
     if let Ok(survey) = Survey::of(&cloud.positions, survey::GLANCE) {
@@ -191,7 +203,7 @@ pub(super) fn run(args: &UpsampleArgs) -> Result<(), CliError> {
         note(format!("warning: the output's format has no place for {}", lost.join(", ")));
     }
     files::write_cloud(&args.output, format, &outcome.positions, &outcome.attributes, &origin)?;
-    if !format.holds_comments() && !files::is_stream(&args.output) {
+    if !format.holds_comments() && files::is_kept(&args.output) {
         let beside = files::beside(&args.output, PROVENANCE);
         files::write(&beside, |sink| Ok(writeln!(sink, "{provenance}")?))?;
     }

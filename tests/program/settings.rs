@@ -1,6 +1,6 @@
 //! Settings: where they come from, and what is wrong with them.
 
-use crate::support::{Serving, densecloud, run, sphere};
+use crate::support::{Serving, agent, densecloud, run, sphere};
 
 #[test]
 fn a_file_sets_what_nothing_stronger_sets() {
@@ -21,12 +21,30 @@ fn a_file_sets_what_nothing_stronger_sets() {
 }
 
 #[test]
+fn an_empty_list_of_what_is_open_opens_nothing() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (file, keys) = (folder.path().join("densecloud.toml"), folder.path().join("keys"));
+    let hash = "17a1b5e3a1d1b0b8f0d1c5b2a3e4f5061728394a5b6c7d8e9fa0b1c2d3e4f506";
+    std::fs::write(&keys, format!("me sha256:{hash}\n")).expect("a file");
+    std::fs::write(&file, "open = []\n").expect("a file");
+    let (file, keys) = (file.to_str().expect("UTF-8"), keys.to_str().expect("UTF-8"));
+    let serving = Serving::start(&["--config", file, "--keys", keys]);
+    for target in ["/healthz", "/readyz", "/metrics", "/docs", "/openapi.json"] {
+        let answer = agent().get(serving.url(target)).call().expect("an answer");
+        assert_eq!(answer.status().as_u16(), 401, "{target}");
+    }
+}
+
+#[test]
 fn settings_are_checked_before_a_port_is_bound() {
     for (arguments, named) in [
         (&["serve", "--max-points-in", "0"][..], "--max-points-in"),
         (&["serve", "--max-held-bytes", "5"], "--max-held-bytes"),
         (&["serve", "--log", "=loud="], "--log"),
         (&["serve", "--stall-timeout", "soon"], "--stall-timeout"),
+        (&["serve", "--head-timeout", "1e19"], "ten years"),
+        (&["serve", "--drain-timeout", "1e19"], "ten years"),
+        (&["serve", "--host", "127.0.0.1:80"], "--host \"127.0.0.1:80\""),
         (&["serve", "--max-memory", "much"], "--max-memory"),
         (&["serve", "--open", "doors"], "--open"),
         (&["serve", "--open", "none,health"], "--open"),

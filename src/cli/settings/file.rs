@@ -52,6 +52,9 @@ pub(super) fn read<'a>(path: &Path, settings: &[&'a Arg]) -> Result<Vec<Entry<'a
     Err(CliError::Usage(told))
 }
 
+/// What stands for nothing in a list that has something by default.
+const NONE: &str = "none";
+
 fn entry<'a>(name: &str, value: &DeValue<'_>, settings: &[&'a Arg]) -> Result<Entry<'a>, String> {
     let Some(setting) = settings.iter().find(|setting| key(setting) == name) else {
         return Err(unknown(name, settings));
@@ -62,6 +65,13 @@ fn entry<'a>(name: &str, value: &DeValue<'_>, settings: &[&'a Arg]) -> Result<En
         value => vec![value],
     };
     let mut typed = Vec::new();
+    // Nothing typed would leave the default, which is something.
+    if values.is_empty() && !setting.get_default_values().is_empty() {
+        if !setting.get_possible_values().iter().any(|one| one.get_name() == NONE) {
+            return Err(format!("`{name}` cannot be empty; leave it out for its default"));
+        }
+        typed.push(OsString::from(format!("--{name}={NONE}")));
+    }
     for value in values {
         let value = kind.typed(value).ok_or_else(|| {
             let list = if is_list(setting) { ", or an array of such" } else { "" };

@@ -37,6 +37,12 @@ struct Options {
     /// A list
     #[arg(long, env = "DENSECLOUD_TEST_LIST", value_delimiter = ',')]
     list: Vec<String>,
+    /// A list that is not empty by default
+    #[arg(long, env = "DENSECLOUD_TEST_FULL", value_delimiter = ',', default_value = "a,b", value_parser = ["a", "b", "none"])]
+    full: Vec<String>,
+    /// The same, with nothing that stands for none
+    #[arg(long, env = "DENSECLOUD_TEST_NEVER_EMPTY", default_value = "a")]
+    never_empty: Vec<String>,
     /// A switch
     #[arg(long, env = "DENSECLOUD_TEST_SWITCH", requires = "text")]
     switch: bool,
@@ -89,6 +95,9 @@ fn every_kind_of_setting_is_read() {
         ("coffee", vec!["a".into(), "b".into()], true)
     );
     assert_eq!(options("list = \"one\"\nswitch = false", &[]).list, ["one"]);
+    assert_eq!(options("full = []\nlist = []", &[]).full, ["none"], "not the default");
+    assert_eq!(options("full = []", &["--full=b"]).full, ["b"]);
+    assert_eq!(options("", &[]).full, ["a", "b"]);
     let none = options("", &[]);
     assert_eq!((none.whole, none.number, none.text, none.switch), (7, 0.5, None, false));
 }
@@ -117,6 +126,7 @@ fn what_is_wrong_is_told_with_its_line_and_what_to_do() {
         ("text = [\"a\"]", &["not array"]),
         ("switch = \"yes\"", &["`switch` must be true or false, not string"]),
         ("list = [1]", &["or an array of such, not integer"]),
+        ("\nnever-empty = []", &[":2: `never-empty` cannot be empty"]),
         ("choice = \"milk\"", &["it is one of tea, coffee"]),
         ("whole = 1\n\nwhole = 2", &[":3: duplicate key"]),
         ("whole = ", &[":1: "]),
