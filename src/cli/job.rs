@@ -10,8 +10,8 @@ use serde_json::Value;
 use ureq::Body;
 use ureq::http::Response;
 
-use super::CliError;
-use super::remote::{Server, Show};
+use super::remote::{Expected, Server, Show};
+use super::{CliError, files};
 
 /// Jobs of a server: leave a cloud there, come back for the dense one.
 #[derive(Debug, Args)]
@@ -159,7 +159,7 @@ pub(super) fn run(args: &JobArgs) -> Result<(), CliError> {
         JobCommand::List { limit } => list(&server, *limit),
         JobCommand::Watch { id } => watch(&server, id),
         JobCommand::Get { id, output, quiet } => get(&server, id, output, *quiet),
-        JobCommand::Cancel { id } => server.delete(&format!("/jobs/{id}")).map(|_| ()),
+        JobCommand::Cancel { id } => server.delete(&format!("/jobs/{id}")),
     }
 }
 
@@ -168,55 +168,62 @@ fn submit(server: &Server, args: &SubmitArgs) -> Result<(), CliError> {
     let headers: Vec<_> =
         headers.into_iter().filter_map(|(name, value)| Some((name, value.clone()?))).collect();
     let show = Show { quiet: args.quiet };
-    let job = server.json(server.upload("/jobs", &args.query(), &headers, &args.input, &show)?)?;
-    println!("{}", text(&job["id"]));
-    Ok(())
+    let answer = server.upload("/jobs", &args.query(), &headers, &args.input, Expected::Json, &show)?;
+    let job = server.json(answer)?;
+    let Some(id) = job["id"].as_str() else { return Err(server.failed(&"answered without a job's id")) };
+    // The job is there, whoever is told.
+    files::print(&format!("{id}\n")).map_err(|error| CliError::Failed(format!("{error}; the job is {id}")))
 }
 
 fn list(server: &Server, limit: u32) -> Result<(), CliError> {
-    let page = server.json(server.get(&format!("/jobs?limit={limit}"))?)?;
-    for job in page["jobs"].as_array().into_iter().flatten() {
-        println!(
-            "{}  {:9}  {:>3.0} %  {} -> {} points  {}",
+    let page = server.json(server.get(&format!("/jobs?limit={limit}"), Expected::Json)?)?;
+    let Some(jobs) = page["jobs"].as_array() else { return Err(server.failed(&"answered without jobs")) };
+    let line = |job: &Value| {
+        format!(
+            "{}  {:9}  {:>3.0} %  {} -> {} points  {}\n",
             text(&job["id"]),
             text(&job["state"]),
             100.0 * job["progress"]["fraction"].as_f64().unwrap_or(0.0),
             job["points_in"],
             job["points_out"],
             text(&job["created"])
-        );
-    }
-    Ok(())
+        )
+    };
+    files::print(&jobs.iter().map(line).collect::<String>())
 }
 
-/// How often a server that is gone is asked again, and after how long: it may be starting anew.
+/// How often a server that is gone is asked again in a row, and after how long: it may be starting anew.
 const TRIES: usize = 60;
 const PAUSE: Duration = Duration::from_secs(1);
 
 fn watch(server: &Server, id: &str) -> Result<(), CliError> {
     // Its first answer tells a wrong id or address at once.
-    let mut events = Some(server.get(&format!("/jobs/{id}/events"))?);
+    let path = format!("/jobs/{id}/events");
+    let mut events = Some(server.get(&path, Expected::Events)?);
     let bar = if io::stderr().is_terminal() { ProgressBar::new(1000) } else { ProgressBar::hidden() };
     if let Ok(style) = ProgressStyle::with_template("{msg:28} [{bar:30}] {percent:>3} %  {eta} left") {
         bar.set_style(style.progress_chars("=> "));
     }
-    for _ in 0..TRIES {
-        if let Some(last) = events.take().and_then(|events| follow(events, &bar)) {
+    let mut tries = 0;
+    while tries < TRIES {
+        if let Some(last) = events.take().and_then(|events| follow(events, &bar, || tries = 0)) {
             bar.finish_and_clear();
             return ended(server, &last);
         }
+        tries += 1;
         std::thread::sleep(PAUSE);
-        events = server.get(&format!("/jobs/{id}/events")).ok();
+        events = server.get_if_there(&path, Expected::Events)?;
     }
     Err(server.failed(&"no answer any more; the job goes on when the server does"))
 }
 
-/// Shows a stream of events; gives the job in its final state, or nothing where the stream broke off.
-fn follow(events: Response<Body>, bar: &ProgressBar) -> Option<Value> {
+/// Shows a stream of events, `seen` at each; gives the job in its final state, or nothing where the stream broke off.
+fn follow(events: Response<Body>, bar: &ProgressBar, mut seen: impl FnMut()) -> Option<Value> {
     for line in BufReader::new(events.into_body().into_reader()).lines() {
         let line = line.ok()?;
         let Some(data) = line.strip_prefix("data: ") else { continue };
         let job: Value = serde_json::from_str(data).ok()?;
+        seen();
         match job["state"].as_str() {
             Some("queued") => bar.set_message(format!("{} before it", job["position"])),
             Some("running") => {
@@ -236,10 +243,7 @@ fn follow(events: Response<Body>, bar: &ProgressBar) -> Option<Value> {
 
 fn ended(server: &Server, job: &Value) -> Result<(), CliError> {
     match job["state"].as_str() {
-        Some("done") => {
-            println!("{}", text(&job["state"]));
-            Ok(())
-        }
+        Some("done") => files::print("done\n"),
         Some("failed") => Err(server.failed(&format!("the job failed: {}", text(&job["problem"]["detail"])))),
         Some(state) => Err(server.failed(&format!("the job is {state}"))),
         None => Err(server.failed(&"the job was deleted")),
@@ -247,7 +251,7 @@ fn ended(server: &Server, job: &Value) -> Result<(), CliError> {
 }
 
 fn get(server: &Server, id: &str, output: &std::path::Path, quiet: bool) -> Result<(), CliError> {
-    let result = server.get(&format!("/jobs/{id}/result"))?;
+    let result = server.get(&format!("/jobs/{id}/result"), Expected::Cloud)?;
     server.save(result, output, &Show { quiet })
 }
 

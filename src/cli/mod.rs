@@ -3,6 +3,7 @@
 //! Exit codes: 0 done, 1 the work failed, 64 the command or a setting was wrong (`EX_USAGE`).
 
 mod cascade_args;
+mod connection;
 mod engine_args;
 mod error;
 mod evaluate;

@@ -2,9 +2,7 @@
 
 use std::time::Instant;
 
-use ureq::http::header;
-
-use super::remote::{Server, Show};
+use super::remote::{Expected, Server, Show, media_type};
 use super::upsample::{PROVENANCE, UpsampleArgs};
 use super::{CliError, files};
 use crate::formats::Format;
@@ -16,7 +14,8 @@ pub(super) fn run(args: &UpsampleArgs, url: &str, wanted: Option<Format>) -> Res
     let show = Show { quiet: args.quiet };
     let start = Instant::now();
     let accept = wanted.map_or("*/*", Format::media_type).to_owned();
-    let answer = server.upload("/upsample", &query(args), &[("accept", accept)], &args.input, &show)?;
+    let headers = [("accept", accept)];
+    let answer = server.upload("/upsample", &query(args), &headers, &args.input, Expected::Cloud, &show)?;
     let text = |name: &str| {
         answer.headers().get(name).and_then(|value| value.to_str().ok()).unwrap_or_default().to_owned()
     };
@@ -24,10 +23,9 @@ pub(super) fn run(args: &UpsampleArgs, url: &str, wanted: Option<Format>) -> Res
         show.note(&format!("warning: {}", String::from_utf8_lossy(warning.as_bytes())));
     }
     let (points_in, points_out) = (text("densecloud-points-in"), text("densecloud-points-out"));
-    let (provenance, kind) = (text("densecloud-provenance"), text(header::CONTENT_TYPE.as_str()));
+    let (provenance, format) = (text("densecloud-provenance"), Format::from_media_type(media_type(&answer)));
     server.save(answer, &args.output, &show)?;
-    let format = Format::from_media_type(kind.split(';').next().unwrap_or_default().trim());
-    if format.is_some_and(|format| !format.holds_comments()) && !files::is_stream(&args.output) {
+    if format.is_some_and(|format| !format.holds_comments()) && files::is_kept(&args.output) {
         let beside = files::beside(&args.output, PROVENANCE);
         files::write(&beside, |sink| Ok(writeln!(sink, "{provenance}")?))?;
     }
