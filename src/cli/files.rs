@@ -67,7 +67,7 @@ enum Output {
 impl Output {
     /// Follows links: what is written is what they lead to, and they stay.
     fn of(path: &Path) -> io::Result<Self> {
-        // The second is a link to whatever standard output is; as a file, it would lose what others wrote there.
+        // By its name, /dev/stdout is what it leads to; replaced as a file, that would lose what others wrote there.
         if is_stream(path) || path == Path::new("/dev/stdout") {
             return Ok(Self::Stdout);
         }

@@ -238,6 +238,8 @@ fn a_server_that_ends_an_upload_early_is_heard_and_asked_again() {
     let refused = piped.output().expect("an end");
     assert_eq!(refused.status.code(), Some(1), "{refused:?}");
     assert!(String::from_utf8_lossy(&refused.stderr).contains("told so"), "{refused:?}");
+    // It holds the pipe's end.
+    drop(piped);
     endless.wait().expect("its pipe is closed");
 }
 
