@@ -187,7 +187,7 @@ fn new_job(
         request_id: String::new(),
         points_in: prepared.about.points_in,
         points_out,
-        result_bytes: prepared.room,
+        result_bytes: prepared.file,
         input,
     };
     Ok((job, held))

@@ -70,7 +70,7 @@ impl Work for Upsampling {
         let order = Order::read(app, &received, parameters, wanted);
         let prepared = order.and_then(|order| prepare(app, order)).map_err(refused)?;
         drop(received);
-        let Prepared { request, room, format, origin, mut about } = prepared;
+        let Prepared { request, room, format, origin, mut about, .. } = prepared;
         let _held = app.budget.hold(room).ok_or(Stopped::Later)?;
         // Beside the same client's live requests: one that waits for these would hold up other clients' jobs.
         let caller = Caller { client: Client::new(&format!("jobs of {}", job.client)), deadline: None };
