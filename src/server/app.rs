@@ -35,6 +35,8 @@ pub(super) struct App {
     pub(super) jobs: Option<Arc<Jobs>>,
     // A semaphore: a question that nobody waits for any more keeps its turn until it is answered.
     pub(super) asking: Arc<Semaphore>,
+    /// For clouds of jobs that are read or written.
+    pub(super) reading: Arc<Semaphore>,
     /// Requests whose response is not over, probes aside. A watch channel, so that a stopping server
     /// can wait for none.
     pub(super) in_flight: watch::Sender<usize>,
@@ -48,6 +50,7 @@ impl App {
             readiness: Readiness::new(),
             budget: Budget::new(config.limits.held_bytes),
             asking: Arc::new(Semaphore::new(jobs::ASKING)),
+            reading: Arc::new(Semaphore::new(jobs::READING)),
             in_flight: watch::Sender::new(0),
             engine,
             config,
