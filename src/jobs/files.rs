@@ -52,6 +52,13 @@ impl Files {
         Ok(value)
     }
 
+    /// Writes a job's cloud. O(bytes), and waits for the disk.
+    pub(super) fn write_input(&self, id: &str, bytes: &[u8]) -> io::Result<Input> {
+        let path = self.input(id);
+        self.write::<_, io::Error>(&path, |sink| sink.write_all(bytes))?;
+        Ok(Input { id: id.to_owned(), path, kept: false })
+    }
+
     /// Removes every file but these.
     pub(super) fn keep(&self, names: &HashSet<OsString>) -> io::Result<usize> {
         let mut removed = 0;
@@ -73,6 +80,30 @@ impl Drop for Part {
     fn drop(&mut self) {
         // As above.
         let _ = remove(&self.0);
+    }
+}
+
+/// A cloud that is on the disk before the row that promises it; removed when dropped, unless the row has
+/// come by then.
+#[derive(Debug)]
+pub struct Input {
+    pub(super) id: String,
+    path: PathBuf,
+    kept: bool,
+}
+
+impl Input {
+    pub(super) fn keep(&mut self) {
+        self.kept = true;
+    }
+}
+
+impl Drop for Input {
+    fn drop(&mut self) {
+        if !self.kept {
+            // What is left goes at the next start.
+            let _ = remove(&self.path);
+        }
     }
 }
 

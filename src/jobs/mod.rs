@@ -17,6 +17,7 @@ mod store;
 mod tests;
 mod worker;
 
-pub use record::{Failure, NewJob, Record, ResultFile, State, Time};
-pub use store::{Bounds, Load, Store, StoreError, Submitted};
+pub use files::Input;
+pub use record::{Draft, Failure, NewJob, Record, ResultFile, State, Time};
+pub use store::{Admitted, Bounds, Found, Load, Store, StoreError, Submitted};
 pub use worker::{Deleted, Jobs, Settings, Stopped, Task, Work, now};

@@ -1,6 +1,10 @@
 //! What is known of one job.
 
 use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+
+use super::database::ROW;
+use crate::provenance::hexadecimal;
 
 /// Milliseconds since 1970.
 pub type Time = i64;
@@ -71,6 +75,44 @@ pub struct NewJob {
     pub input: Vec<u8>,
 }
 
+/// A new job with all that the store has to work out of it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Draft {
+    pub(super) job: NewJob,
+    /// The same for the same request with the same cloud.
+    pub(super) fingerprint: String,
+    /// Bytes that its row takes, in whatever state.
+    pub(super) row_bytes: u64,
+}
+
+impl Draft {
+    /// O(bytes of the cloud).
+    #[must_use]
+    pub fn new(job: NewJob) -> Self {
+        let mut hash = Sha256::new();
+        hash.update((job.request.len() as u64).to_le_bytes());
+        hash.update(&job.request);
+        hash.update(&job.input);
+        let fingerprint = hexadecimal(&hash.finalize());
+        let NewJob { request, owner, client, request_id, .. } = &job;
+        let key = job.key.as_ref().map_or(0, String::len);
+        let texts = request.len() + owner.len() + client.len() + request_id.len() + key;
+        Self { fingerprint, row_bytes: ROW + texts as u64, job }
+    }
+
+    /// Its cloud's file.
+    #[must_use]
+    pub fn input(&self) -> &[u8] {
+        &self.job.input
+    }
+
+    /// Bytes that it takes until it is over.
+    pub(super) fn bytes(&self) -> u64 {
+        let files = (self.job.input.len() as u64).saturating_add(self.job.result_bytes);
+        files.saturating_add(self.row_bytes)
+    }
+}
+
 /// One row of the database.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Record {
@@ -92,11 +134,13 @@ pub struct Record {
     pub points_in: u64,
     /// Points in the result.
     pub points_out: u64,
+    /// Its place on the clock by which clients take turns; of equal ones the lower number is first.
+    pub turn: i64,
     /// How often it was started; a stop of the server in good order does not count.
     pub attempts: u32,
     /// When it came.
     pub created: Time,
-    /// When it was last started.
+    /// When it was last started; none where it has been put back since.
     pub started: Option<Time>,
     /// When it came to its final state.
     pub finished: Option<Time>,

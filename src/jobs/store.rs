@@ -15,8 +15,8 @@ use rusqlite::{Connection, ErrorCode, OptionalExtension, params};
 use sha2::{Digest, Sha256};
 
 use super::database::{self, find, integer, json, load, natural, select, used};
-use super::files::{self, Files};
-use super::record::{Failure, NewJob, Record, ResultFile, State, Time};
+use super::files::{self, Files, Input};
+use super::record::{Draft, Failure, Record, ResultFile, State, Time};
 use crate::provenance::hexadecimal;
 
 /// Jobs that outlive the program.
@@ -54,6 +54,18 @@ pub struct Load {
     /// Jobs of the client that asks.
     pub own: u64,
 }
+
+/// Whether a job may come.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Admitted {
+    /// There is room for it; this will be its name.
+    New(String),
+    /// The job that the same request made earlier.
+    Known(Box<Record>),
+}
+
+/// A job, and its result where it is done.
+pub type Found = (Record, Option<(ResultFile, File)>);
 
 /// What became of a request for a job.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -155,23 +167,28 @@ impl Store {
 
     fn recover(&self, attempts: u32, now: Time) -> Result<(), StoreError> {
         let database = self.database();
-        let running = select(&database, "WHERE state = 'running'", [])?;
-        for Record { id, attempts: made, .. } in running {
+        // Names alone: there may be many rows, and long ones.
+        let pairs = |sql| {
+            let mut statement = database.prepare(sql)?;
+            let rows = statement.query_map([], |row| Ok((row.get(0)?, row.get(1)?)))?;
+            rows.collect::<Result<Vec<(String, u32)>, _>>()
+        };
+        for (id, made) in pairs("SELECT id, attempts FROM jobs WHERE state = 'running'")? {
             if made < attempts {
                 database.execute("UPDATE jobs SET state = 'queued' WHERE id = ?", [&id])?;
             } else {
                 let failure = json(&Failure::GaveUp { attempts: made });
-                database.execute(
-                    "UPDATE jobs SET state = 'failed', finished = ?, failure = ?, bytes = 0 WHERE id = ?",
-                    params![now, failure, id],
-                )?;
+                database.execute(FAIL, params![now, failure, id])?;
             }
             tracing::warn!(job = id, attempts = made, again = made < attempts, "job was interrupted");
         }
-        let kept: HashSet<OsString> = select(&database, "WHERE state IN ('queued', 'done')", [])?
-            .iter()
-            .filter_map(|job| self.file(job)?.file_name().map(OsString::from))
-            .collect();
+        let promised = pairs("SELECT id, state = 'done' FROM jobs WHERE state IN ('queued', 'done')")?;
+        let file = |(id, done): &(String, u32)| match done {
+            0 => self.files.input(id),
+            _ => self.files.result(id),
+        };
+        let kept: HashSet<OsString> =
+            promised.iter().filter_map(|one| file(one).file_name().map(OsString::from)).collect();
         let removed = self.files.keep(&kept)?;
         if removed > 0 {
             tracing::info!(removed, "removed leftovers of jobs");
@@ -179,85 +196,72 @@ impl Store {
         Ok(())
     }
 
-    /// The file that a job's state promises.
-    fn file(&self, job: &Record) -> Option<std::path::PathBuf> {
-        match job.state {
-            State::Queued | State::Running => Some(self.files.input(&job.id)),
-            State::Done => Some(self.files.result(&job.id)),
-            State::Failed | State::Cancelled => None,
-        }
-    }
-
     /// Nothing panics while it is held, so a poisoned lock is still sound.
     fn database(&self) -> MutexGuard<'_, Connection> {
         self.connection.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Keeps a job: when this returns it is on the disk. O(bytes), and a few waits for the disk.
+    /// Whether a job may come: to be asked before its cloud is written.
     ///
     /// # Errors
-    /// [`StoreError::OverBudget`], [`StoreError::OtherRequest`], or what the disk says; nothing is left
-    /// then.
-    pub fn submit(&self, job: &NewJob, now: Time) -> Result<Submitted, StoreError> {
-        let fingerprint = fingerprint(job);
-        let bytes = (job.input.len() as u64).saturating_add(job.result_bytes);
-        // Before the cloud is written; asked again after, when another may have been quicker.
-        if let Some(known) = self.admit(&self.database(), job, &fingerprint, bytes)? {
-            return Ok(Submitted::Known(known));
+    /// [`StoreError::Full`], [`StoreError::ClientFull`], [`StoreError::OverBudget`],
+    /// [`StoreError::OtherRequest`], or what the database says.
+    pub fn admit(&self, draft: &Draft) -> Result<Admitted, StoreError> {
+        let database = self.database();
+        if let Some(known) = self.known(&database, draft)? {
+            return Ok(Admitted::Known(Box::new(known)));
         }
-        let id: String =
-            self.database().query_row("SELECT lower(hex(randomblob(16)))", [], |row| row.get(0))?;
-        let path = self.files.input(&id);
-        self.files.write::<_, io::Error>(&path, |sink| sink.write_all(&job.input))?;
-        let inserted = self.insert(&id, job, &fingerprint, bytes, now);
-        if !matches!(inserted, Ok(Submitted::New(_))) {
-            files::remove(&path)?;
-        }
-        inserted
+        let id = database.query_row("SELECT lower(hex(randomblob(16)))", [], |row| row.get(0))?;
+        Ok(Admitted::New(id))
     }
 
-    fn insert(
-        &self,
-        id: &str,
-        job: &NewJob,
-        fingerprint: &str,
-        bytes: u64,
-        now: Time,
-    ) -> Result<Submitted, StoreError> {
+    /// Brings the cloud of a job of this name to the disk. O(bytes).
+    ///
+    /// # Errors
+    /// What the disk says; nothing is left then.
+    pub fn write_input(&self, id: &str, draft: &Draft) -> io::Result<Input> {
+        self.files.write_input(id, draft.input())
+    }
+
+    /// Keeps a job whose cloud is there: when this returns it is on the disk.
+    ///
+    /// # Errors
+    /// As [`Store::admit`], since another may have been quicker; nothing is left then.
+    pub fn insert(&self, draft: &Draft, mut input: Input, now: Time) -> Result<Submitted, StoreError> {
         // One lock for question and insertion: no other job comes between.
         let database = self.database();
-        if let Some(known) = self.admit(&database, job, fingerprint, bytes)? {
+        if let Some(known) = self.known(&database, draft)? {
             return Ok(Submitted::Known(known));
         }
+        let job = &draft.job;
         database.execute(
             "INSERT INTO jobs (id, state, request, owner, client, key, fingerprint, request_id, points_in, \
-             points_out, bytes, created) VALUES (?, 'queued', ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+             points_out, row_bytes, bytes, created, turn) VALUES (?, 'queued', ?, ?, ?4, ?, ?, ?, ?, ?, ?, ?, ?, \
+             1 + max((SELECT clock FROM totals), (SELECT coalesce(max(turn), 0) FROM jobs \
+             WHERE client = ?4 AND state IN ('queued', 'running'))))",
             params![
-                id,
+                input.id,
                 job.request,
                 job.owner,
                 job.client,
                 job.key,
-                fingerprint,
+                draft.fingerprint,
                 job.request_id,
                 integer(job.points_in),
                 integer(job.points_out),
-                integer(bytes),
+                integer(draft.row_bytes),
+                integer(draft.bytes()),
                 now
             ],
         )?;
-        let new = find(&database, id)?.ok_or(rusqlite::Error::QueryReturnedNoRows)?;
+        input.keep();
+        let new = find(&database, &input.id)?.ok_or(rusqlite::Error::QueryReturnedNoRows)?;
         Ok(Submitted::New(new))
     }
 
     /// The job that this request made earlier, or none where there is room for a new one.
-    fn admit(
-        &self,
-        database: &Connection,
-        job: &NewJob,
-        fingerprint: &str,
-        wanted: u64,
-    ) -> Result<Option<Record>, StoreError> {
+    fn known(&self, database: &Connection, draft: &Draft) -> Result<Option<Record>, StoreError> {
+        let (job, wanted) = (&draft.job, draft.bytes());
         if let Some(key) = &job.key {
             let known: Option<(String, String)> = database
                 .query_row(
@@ -267,7 +271,7 @@ impl Store {
                 )
                 .optional()?;
             match known {
-                Some((id, same)) if same == fingerprint => return find(database, &id),
+                Some((id, same)) if same == draft.fingerprint => return find(database, &id),
                 Some(_) => return Err(StoreError::OtherRequest),
                 None => {}
             }
@@ -337,16 +341,11 @@ impl Store {
     /// # Errors
     /// What the database says.
     pub fn ahead(&self, job: &Record) -> Result<(u64, u64), StoreError> {
-        let sql = "WITH queued AS (
-                SELECT client, number, points_out,
-                    row_number() OVER (PARTITION BY client ORDER BY number) AS turn
-                FROM jobs WHERE state = 'queued'
-            ), own AS (SELECT turn FROM queued WHERE number = ?1)
-            SELECT count(*), coalesce(sum(points_out), 0) FROM queued, own
-            WHERE queued.turn < own.turn OR (queued.turn = own.turn AND number < ?1)";
-        let ahead = self
-            .database()
-            .query_row(sql, [job.number], |row| Ok((row.get(0).map(natural)?, row.get(1).map(natural)?)))?;
+        let sql = "SELECT count(*), coalesce(sum(points_out), 0) FROM jobs
+            WHERE state = 'queued' AND (turn, number) < (?, ?)";
+        let ahead = self.database().query_row(sql, [job.turn, job.number], |row| {
+            Ok((row.get(0).map(natural)?, row.get(1).map(natural)?))
+        })?;
         Ok(ahead)
     }
 
@@ -364,7 +363,7 @@ impl Store {
         Ok(counts)
     }
 
-    /// Bytes on the disk that jobs take, or will when they are done.
+    /// Bytes on the disk that jobs take, rows included, or will when they are done. O(1).
     ///
     /// # Errors
     /// What the database says.
@@ -372,14 +371,18 @@ impl Store {
         used(&self.database())
     }
 
-    /// Starts the next job: of the client whose last was started longest ago, the one that has waited longest.
+    /// Starts the next job: the one whose turn is earliest.
+    ///
+    /// Fair queueing by start times, as live requests have it, with jobs all of one length: a job's turn is one
+    /// after that of its client's job before it, and no earlier than one after the clock, which is the turn of
+    /// the last job that was started. So clients take turns, and one that comes anew is served soon but not
+    /// before those that wait: the turns that are left before a job's are taken by finitely many.
     ///
     /// # Errors
     /// What the database says; no job has been started then.
     pub fn claim(&self, now: Time) -> Result<Option<Record>, StoreError> {
         let database = self.database();
-        let which = "WHERE state = 'queued' ORDER BY
-            (SELECT max(started) FROM jobs other WHERE other.client = jobs.client) NULLS FIRST, number LIMIT 1";
+        let which = "WHERE state = 'queued' ORDER BY turn, number LIMIT 1";
         let Some(next) = select(&database, which, [])?.pop() else { return Ok(None) };
         database.execute(
             "UPDATE jobs SET state = 'running', attempts = attempts + 1, started = ? WHERE id = ?",
@@ -393,11 +396,26 @@ impl Store {
     /// # Errors
     /// What the database says.
     pub fn put_back(&self, id: &str) -> Result<bool, StoreError> {
-        let put = self.database().execute(
-            "UPDATE jobs SET state = 'queued', attempts = attempts - 1 WHERE id = ? AND state = 'running'",
-            [id],
-        )?;
-        Ok(put > 0)
+        Ok(self.database().execute(PUT_BACK, [id])? > 0)
+    }
+
+    /// As [`Store::put_back`], for one that finds no room at the moment: its turn has been taken, and it and its
+    /// client's later ones go on to the next.
+    ///
+    /// # Errors
+    /// What the database says.
+    pub fn defer(&self, id: &str) -> Result<bool, StoreError> {
+        let mut database = self.database();
+        let transaction = database.transaction()?;
+        let put = transaction.execute(PUT_BACK, [id])? > 0;
+        if put {
+            let sql = "UPDATE jobs SET turn = jobs.turn + totals.clock + 1 - this.turn
+                FROM totals, (SELECT client, turn, number FROM jobs WHERE id = ?) AS this
+                WHERE jobs.client = this.client AND jobs.state = 'queued' AND jobs.number >= this.number";
+            transaction.execute(sql, [id])?;
+        }
+        transaction.commit()?;
+        Ok(put)
     }
 
     /// The file of a job's cloud.
@@ -431,7 +449,8 @@ impl Store {
     /// What the disk says; the job still runs then.
     pub fn done(&self, id: &str, result: &ResultFile, now: Time) -> Result<bool, StoreError> {
         let done = self.database().execute(
-            "UPDATE jobs SET state = 'done', finished = ?, result = ?, bytes = ? WHERE id = ? AND state = 'running'",
+            "UPDATE jobs SET state = 'done', finished = ?1, result = ?2, \
+             bytes = row_bytes + octet_length(?2) + ?3 WHERE id = ?4 AND state = 'running'",
             params![now, json(result), integer(result.bytes), id],
         )? > 0;
         // What is left of a job that was put back is its cloud.
@@ -448,10 +467,7 @@ impl Store {
     /// # Errors
     /// What the disk says.
     pub fn failed(&self, id: &str, failure: &Failure, now: Time) -> Result<bool, StoreError> {
-        let failed = self.database().execute(
-            "UPDATE jobs SET state = 'failed', finished = ?, failure = ?, bytes = 0 WHERE id = ? AND state = 'running'",
-            params![now, json(failure), id],
-        )? > 0;
+        let failed = self.database().execute(FAIL, params![now, json(failure), id])? > 0;
         if failed {
             files::remove(&self.files.input(id))?;
         }
@@ -464,7 +480,7 @@ impl Store {
     /// What the disk says.
     pub fn cancel(&self, id: &str, now: Time) -> Result<bool, StoreError> {
         let cancelled = self.database().execute(
-            "UPDATE jobs SET state = 'cancelled', finished = ?, bytes = 0 \
+            "UPDATE jobs SET state = 'cancelled', finished = ?, bytes = row_bytes \
              WHERE id = ? AND state IN ('queued', 'running')",
             params![now, id],
         )? > 0;
@@ -487,35 +503,46 @@ impl Store {
         Ok(deleted)
     }
 
-    /// Forgets jobs that came to their end before `time`; says which.
+    /// Forgets jobs that came to their end before `time`, `most` of them at once; says which.
     ///
     /// # Errors
     /// What the disk says.
-    pub fn expire(&self, time: Time) -> Result<Vec<String>, StoreError> {
-        let old = select(&self.database(), "WHERE finished < ?", [time])?;
-        let mut expired = Vec::new();
-        for job in old {
-            if self.delete(&job.id)? {
-                expired.push(job.id);
-            }
-        }
+    pub fn expire(&self, time: Time, most: u32) -> Result<Vec<String>, StoreError> {
+        let sql = "DELETE FROM jobs WHERE number IN (SELECT number FROM jobs WHERE finished < ? LIMIT ?)
+            RETURNING id";
+        let expired = {
+            let database = self.database();
+            let mut statement = database.prepare_cached(sql)?;
+            let rows = statement.query_map(params![time, most], |row| row.get(0))?;
+            rows.collect::<Result<Vec<String>, _>>()?
+        };
+        // All of them, whatever becomes of one.
+        let removed: Vec<_> = expired.iter().map(|id| files::remove(&self.files.result(id))).collect();
+        removed.into_iter().collect::<io::Result<()>>()?;
         Ok(expired)
     }
 
-    /// Opens the result of a job that is done; none where there is no such job, or it is not done. An open
-    /// file can be read to its end whatever becomes of the job.
+    /// A job, and its result where it is done. An open file can be read to its end whatever becomes of the job.
     ///
     /// # Errors
     /// What the disk says.
-    pub fn result(&self, id: &str) -> Result<Option<(Record, ResultFile, File)>, StoreError> {
+    pub fn result(&self, id: &str) -> Result<Option<Found>, StoreError> {
         // The lock keeps the job from being deleted between its row and its file.
         let database = self.database();
         let Some(mut job) = find(&database, id)? else { return Ok(None) };
-        let Some(result) = job.result.take() else { return Ok(None) };
-        let file = File::open(self.files.result(id))?;
-        Ok(Some((job, result, file)))
+        let result = match job.result.take() {
+            Some(result) => Some((result, File::open(self.files.result(id))?)),
+            None => None,
+        };
+        Ok(Some((job, result)))
     }
 }
+
+const PUT_BACK: &str = "UPDATE jobs SET state = 'queued', attempts = attempts - 1, started = NULL \
+                        WHERE id = ? AND state = 'running'";
+
+const FAIL: &str = "UPDATE jobs SET state = 'failed', finished = ?1, failure = ?2, \
+                    bytes = row_bytes + octet_length(?2) WHERE id = ?3 AND state = 'running'";
 
 /// Writes, counts and hashes.
 struct Sink<'a> {
@@ -535,13 +562,4 @@ impl Write for Sink<'_> {
     fn flush(&mut self) -> io::Result<()> {
         self.file.flush()
     }
-}
-
-/// The same for the same request with the same cloud.
-fn fingerprint(job: &NewJob) -> String {
-    let mut hash = Sha256::new();
-    hash.update((job.request.len() as u64).to_le_bytes());
-    hash.update(&job.request);
-    hash.update(&job.input);
-    hexadecimal(&hash.finalize())
 }

@@ -1,19 +1,23 @@
 //! The store under random use and random ends, and the worker over it without a server.
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, HashMap, HashSet};
 use std::io::{self, Write};
 use std::path::Path;
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
 
 use proptest::prelude::*;
 
+use super::database::json;
 use super::*;
 use crate::provenance::hexadecimal;
 
-const DISK: u64 = 1000;
+const DISK: u64 = 10_000;
 const BOUNDS: Bounds = Bounds { disk: DISK, jobs: 1000, client_jobs: 1000 };
 const ATTEMPTS: u32 = 3;
+/// What a result is taken for beforehand: more than any here is, with what is told of it.
+const RESULT: u64 = 300;
 
 fn open(folder: &Path, now: Time) -> Store {
     Store::open(folder, BOUNDS, ATTEMPTS, now).expect("a store")
@@ -28,13 +32,22 @@ fn job(request: &str, key: Option<&str>, input: &[u8]) -> NewJob {
         request_id: "r".into(),
         points_in: input.len() as u64,
         points_out: 4 * input.len() as u64,
-        result_bytes: 100,
+        result_bytes: RESULT,
         input: input.into(),
     }
 }
 
+/// As the server does it.
+fn try_submit(store: &Store, job: &NewJob, now: Time) -> Result<Submitted, StoreError> {
+    let draft = Draft::new(job.clone());
+    match store.admit(&draft)? {
+        Admitted::Known(record) => Ok(Submitted::Known(*record)),
+        Admitted::New(id) => store.insert(&draft, store.write_input(&id, &draft)?, now),
+    }
+}
+
 fn submit(store: &Store, job: &NewJob, now: Time) -> String {
-    match store.submit(job, now).expect("room") {
+    match try_submit(store, job, now).expect("room") {
         Submitted::New(record) => record.id,
         Submitted::Known(record) => panic!("known: {record:?}"),
     }
@@ -98,7 +111,15 @@ struct Model {
     attempts: u32,
     finished: Time,
     job: NewJob,
+    /// Of its files.
     bytes: u64,
+}
+
+impl Model {
+    /// With its row, without what is told of its end.
+    fn used(&self) -> u64 {
+        self.bytes + Draft::new(self.job.clone()).row_bytes
+    }
 }
 
 fn check(store: &Store, folder: &Path, model: &BTreeMap<String, Model>) -> Result<(), TestCaseError> {
@@ -113,7 +134,8 @@ fn check(store: &Store, folder: &Path, model: &BTreeMap<String, Model>) -> Resul
                 prop_assert_eq!(&store.input(&record.id).expect("its cloud"), &known.job.input);
             }
             State::Done => {
-                let (_, result, _) = store.result(&record.id).expect("its file").expect("a result");
+                let (_, result) = store.result(&record.id).expect("its file").expect("the job");
+                let (result, _) = result.expect("a result");
                 let bytes =
                     std::fs::read(folder.join("files").join(format!("{}.out", record.id))).expect("a file");
                 prop_assert_eq!(&bytes, record.id.as_bytes());
@@ -122,13 +144,20 @@ fn check(store: &Store, folder: &Path, model: &BTreeMap<String, Model>) -> Resul
             State::Failed | State::Cancelled => {}
         }
         if record.state != State::Done {
-            prop_assert!(store.result(&record.id).expect("no fault").is_none());
+            let (same, result) = store.result(&record.id).expect("no fault").expect("the job");
+            prop_assert!(result.is_none() && same == *record);
         }
     }
     for (state, count) in store.counts().expect("counts") {
         prop_assert_eq!(count, model.values().filter(|known| known.state == state).count() as u64);
     }
-    let used: u64 = model.values().map(|known| known.bytes).sum();
+    // What is told of an end are its two texts.
+    let told = |record: &Record| {
+        let result = record.result.as_ref().map_or(0, |result| json(result).len());
+        result + record.failure.as_ref().map_or(0, |failure| json(failure).len())
+    };
+    let told: usize = listed.iter().map(told).sum();
+    let used = model.values().map(Model::used).sum::<u64>() + told as u64;
     prop_assert_eq!(store.used().expect("a sum"), used);
     prop_assert!(used <= DISK);
     Ok(())
@@ -155,19 +184,19 @@ proptest! {
                     let key = key.map(|key| format!("key {key}"));
                     let new = job(&format!("request {request}"), key.as_deref(), &vec![7; size]);
                     let holder = model.iter().find(|(_, known)| key.is_some() && known.job.key == key);
-                    let used: u64 = model.values().map(|known| known.bytes).sum();
-                    match (open_store.submit(&new, now), holder) {
+                    let used = open_store.used().expect("a sum");
+                    match (try_submit(open_store, &new, now), holder) {
                         (Ok(Submitted::Known(record)), Some((id, known))) => {
                             prop_assert_eq!(&record.id, id);
                             prop_assert_eq!(&known.job, &new);
                         }
                         (Err(StoreError::OtherRequest), Some((_, known))) => prop_assert_ne!(&known.job, &new),
                         (Err(StoreError::OverBudget { .. }), None) => {
-                            prop_assert!(used + size as u64 + 100 > DISK);
+                            prop_assert!(used + Draft::new(new).bytes() > DISK);
                         }
                         (Ok(Submitted::New(record)), None) => {
                             order.push(record.id.clone());
-                            let bytes = size as u64 + 100;
+                            let bytes = size as u64 + RESULT;
                             let known =
                                 Model { state: State::Queued, attempts: 0, finished: 0, job: new, bytes };
                             model.insert(record.id, known);
@@ -231,7 +260,7 @@ proptest! {
                     }
                 }
                 Step::Expire(age) => {
-                    let expired = open_store.expire(now - age).expect("no fault");
+                    let expired = open_store.expire(now - age, 100).expect("no fault");
                     let old = |known: &Model| known.state.is_final() && known.finished < now - age;
                     prop_assert_eq!(expired.len(), model.values().filter(|known| old(known)).count());
                     model.retain(|_, known| !old(known));
@@ -297,9 +326,14 @@ fn a_result_is_seen_whole_with_its_hash_or_not_at_all() {
     assert!(StoreError::from(full.expect_err("full")).is_full());
     assert_eq!(files(dir.path()), [format!("{id}.in")]);
     let result = write(&store, &id, b"abc");
-    assert!(store.result(&id).expect("no fault").is_none(), "not before it is done");
+    let result_of =
+        |id: &str| store.result(id).expect("no fault").map(|(job, result)| (job.state, result.is_some()));
+    assert_eq!(result_of(&id), Some((State::Running, false)), "not before it is done");
     assert!(store.done(&id, &result, 2).expect("no fault"));
+    assert_eq!(result_of(&id), Some((State::Done, true)));
     assert!(!store.done(&id, &result, 3).is_ok_and(|done| done), "once");
+    assert!(store.delete(&id).expect("no fault"));
+    assert_eq!(result_of(&id), None, "what is gone is not one that is not done");
     let abc = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad";
     assert_eq!((result.sha256.as_str(), result.bytes), (abc, 3));
     assert_eq!(hexadecimal(&[0xab]), "ab");
@@ -312,9 +346,9 @@ fn a_folder_is_open_once_and_a_later_version_is_not_touched() {
     assert!(matches!(Store::open(dir.path(), BOUNDS, ATTEMPTS, 0), Err(StoreError::Locked)));
     drop(store);
     let database = rusqlite::Connection::open(dir.path().join("jobs.sqlite")).expect("a database");
-    database.pragma_update(None, "user_version", 3).expect("a version");
+    database.pragma_update(None, "user_version", 4).expect("a version");
     drop(database);
-    assert!(matches!(Store::open(dir.path(), BOUNDS, ATTEMPTS, 0), Err(StoreError::Version(3))));
+    assert!(matches!(Store::open(dir.path(), BOUNDS, ATTEMPTS, 0), Err(StoreError::Version(4))));
 }
 
 fn of(client: &str, key: Option<&str>) -> NewJob {
@@ -329,7 +363,7 @@ fn clients_take_turns_and_have_their_own_names_for_requests() {
     let key = submit(&store, &of("a", Some("key")), 3);
     let b = submit(&store, &of("b", Some("key")), 4);
     assert_ne!(key, b, "another owner's key is another key");
-    assert_eq!(store.submit(&of("b", Some("key")), 5).expect("room"), {
+    assert_eq!(try_submit(&store, &of("b", Some("key")), 5).expect("room"), {
         Submitted::Known(store.get(&b).expect("no fault").expect("the job"))
     });
     let ahead =
@@ -349,9 +383,12 @@ fn no_more_jobs_wait_than_may() {
     let store = Store::open(dir.path(), bounds, ATTEMPTS, 0).expect("a store");
     let first = submit(&store, &of("a", Some("key")), 0);
     submit(&store, &of("a", None), 0);
-    let refused = store.submit(&of("a", None), 0);
+    let refused = try_submit(&store, &of("a", None), 0);
     assert!(matches!(refused, Err(StoreError::ClientFull { queued: 2, limit: 2 })), "{refused:?}");
-    assert!(matches!(store.submit(&of("a", Some("key")), 0), Ok(Submitted::Known(_))), "it is there already");
+    assert!(
+        matches!(try_submit(&store, &of("a", Some("key")), 0), Ok(Submitted::Known(_))),
+        "it is there already"
+    );
     submit(&store, &of("b", None), 0);
     assert!(matches!(store.has_room("b"), Err(StoreError::Full { queued: 3, limit: 3 })));
     assert_eq!(store.load("a").expect("no fault"), Load { jobs: 3, points: 36, clients: 2, own: 2 });
@@ -361,16 +398,123 @@ fn no_more_jobs_wait_than_may() {
 }
 
 #[test]
-fn a_database_without_clients_is_brought_up_to_date() {
+fn nobody_starves_whoever_else_comes_whatever_the_time() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let store = Store::open(dir.path(), Bounds { disk: 1 << 20, ..BOUNDS }, ATTEMPTS, 0).expect("a store");
+    let kept = submit(&store, &of("patient", None), 0);
+    let run = |now| {
+        let job = store.claim(now).expect("no fault").expect("a job");
+        let result = write(&store, &job.id, b"x");
+        assert!(store.done(&job.id, &result, now).expect("no fault"));
+        job.id
+    };
+    // Its last start is known, and later than all that will be.
+    assert_eq!(run(1_000_000), kept);
+    let patient = [submit(&store, &of("patient", None), 0), submit(&store, &of("patient", None), 0)];
+    // Two that fetch and forget, and others that come anew, while the clock goes back.
+    let mut waiting = Vec::new();
+    for client in ["a", "b"] {
+        waiting.push(submit(&store, &of(client, None), 0));
+        waiting.push(submit(&store, &of(client, None), 0));
+    }
+    let mut served = Vec::new();
+    for turn in 0..12_i64 {
+        let id = run(1000 - turn);
+        if patient.contains(&id) {
+            served.push(turn);
+        } else {
+            assert!(store.delete(&id).expect("no fault"));
+            submit(&store, &of(["a", "b"][turn as usize % 2], None), 0);
+        }
+        submit(&store, &of(&format!("new {turn}"), None), 0);
+        let expected: Vec<String> = {
+            let mut queued = store.list(None, 1000, None).expect("a list");
+            queued.retain(|job| job.state == State::Queued);
+            queued.sort_by_key(|job| store.ahead(job).expect("no fault").0);
+            let places: Vec<u64> = queued.iter().map(|job| store.ahead(job).expect("no fault").0).collect();
+            assert_eq!(places, (0..queued.len() as u64).collect::<Vec<_>>());
+            queued.into_iter().map(|job| job.id).collect()
+        };
+        let next = store.claim(0).expect("no fault").expect("a job").id;
+        assert_eq!(Some(&next), expected.first(), "as its position said");
+        assert!(store.put_back(&next).expect("no fault"));
+    }
+    assert_eq!(served, [0, 3], "each time one of every other client's is between");
+}
+
+#[test]
+fn a_job_that_finds_no_room_lets_other_clients_go_on() {
     let dir = tempfile::tempdir().expect("a folder");
     let store = open(dir.path(), 0);
-    let (queued, done) =
-        (submit(&store, &job("a", Some("key"), b"abc"), 0), submit(&store, &job("b", None, b"x"), 0));
+    let large = submit(&store, &of("a", None), 0);
+    let next = submit(&store, &of("a", None), 0);
+    let others = [submit(&store, &of("b", None), 0), submit(&store, &of("b", None), 0)];
+    let claim = || store.claim(7).expect("no fault").expect("a job").id;
+    let mut order = Vec::new();
+    for _ in 0..4 {
+        let id = claim();
+        if id == large {
+            assert!(store.defer(&id).expect("no fault"));
+            let job = store.get(&id).expect("no fault").expect("the job");
+            assert_eq!((job.state, job.attempts, job.started), (State::Queued, 0, None));
+        }
+        order.push(id);
+    }
+    assert_eq!(order, [&large, &others[0], &large, &others[1]].map(Clone::clone));
+    assert_eq!([claim(), claim()], [large, next], "its client's own are in the order in which they came");
+}
+
+#[test]
+fn rows_count_whatever_their_state_so_jobs_that_are_cancelled_do_not_fill_the_disk() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let store = open(dir.path(), 0);
+    let new = job(&"4x".repeat(1000), None, b"abc");
+    let mut kept = 0;
+    loop {
+        match try_submit(&store, &new, 0) {
+            Ok(Submitted::New(job)) => assert!(store.cancel(&job.id, 1).expect("no fault")),
+            Err(StoreError::OverBudget { used, .. }) => {
+                assert!(used > kept * 3000, "{used}");
+                break;
+            }
+            other => panic!("{other:?}"),
+        }
+        kept += 1;
+        assert!(kept < 100);
+    }
+    let used = store.used().expect("a sum");
     drop(store);
-    let database = rusqlite::Connection::open(dir.path().join("jobs.sqlite")).expect("a database");
-    database
-        .execute_batch(
-            "CREATE TABLE old (
+    let store = open(dir.path(), 0);
+    assert_eq!(store.used().expect("a sum"), used);
+    assert_eq!(store.expire(2, 2).expect("no fault").len(), 2, "as many at once as may");
+    assert_eq!(store.expire(2, 2).expect("no fault").len() as u64, kept - 2);
+    assert_eq!(store.used().expect("a sum"), 0);
+}
+
+#[test]
+fn databases_of_before_are_brought_up_to_date() {
+    for version in [1, 2] {
+        let dir = tempfile::tempdir().expect("a folder");
+        let store = open(dir.path(), 0);
+        let long = NewJob { request: "a".repeat(500), ..job("a", Some("key"), b"abc") };
+        let (queued, done) = (submit(&store, &long, 0), submit(&store, &job("b", None, b"x"), 0));
+        let last = submit(&store, &job("c", None, b"x"), 0);
+        let used = store.used().expect("a sum");
+        drop(store);
+        let database = rusqlite::Connection::open(dir.path().join("jobs.sqlite")).expect("a database");
+        let rows = "
+            UPDATE jobs SET bytes = bytes - row_bytes;
+            DROP TRIGGER jobs_come; DROP TRIGGER jobs_change; DROP TRIGGER jobs_go; DROP TRIGGER jobs_start;
+            DROP TABLE totals;
+            DROP INDEX jobs_by_client; DROP INDEX jobs_by_turn;
+            ALTER TABLE jobs DROP COLUMN row_bytes;
+            ALTER TABLE jobs DROP COLUMN turn;
+            CREATE INDEX jobs_by_state ON jobs (state, number);
+            CREATE INDEX jobs_by_client ON jobs (client, started);
+            PRAGMA user_version = 2;";
+        let columns = "
+            DROP INDEX jobs_by_client; DROP INDEX jobs_by_state; DROP INDEX jobs_by_end;
+            CREATE TABLE old (
                 number INTEGER PRIMARY KEY AUTOINCREMENT, id TEXT NOT NULL UNIQUE, state TEXT NOT NULL,
                 request TEXT NOT NULL, key TEXT UNIQUE, fingerprint TEXT NOT NULL, request_id TEXT NOT NULL,
                 points_in INTEGER NOT NULL, points_out INTEGER NOT NULL, bytes INTEGER NOT NULL,
@@ -382,19 +526,26 @@ fn a_database_without_clients_is_brought_up_to_date() {
             ALTER TABLE old RENAME TO jobs;
             CREATE INDEX jobs_by_state ON jobs (state, number);
             CREATE INDEX jobs_by_end ON jobs (finished);
-            PRAGMA user_version = 1;",
-        )
-        .expect("a database of version 1");
-    drop(database);
-    let store = open(dir.path(), 1);
-    assert!(matches!(store.submit(&job("a", Some("key"), b"abc"), 2), Ok(Submitted::Known(_))));
-    assert_eq!(store.claim(3).expect("no fault").map(|job| job.id), Some(queued.clone()));
-    write(&store, &queued, b"abc");
-    let ids = store.list(None, 10, Some("")).expect("a list").into_iter().map(|job| job.id);
-    assert_eq!(ids.collect::<Vec<_>>(), [done, queued]);
-    assert_eq!(store.list(None, 10, Some("a")).expect("a list").len(), 0, "nobody's");
-    drop(store);
-    drop(open(dir.path(), 4));
+            PRAGMA user_version = 1;";
+        for step in [rows, columns].into_iter().take(if version == 1 { 2 } else { 1 }) {
+            database.execute_batch(step).unwrap_or_else(|error| panic!("version {version}: {error}"));
+        }
+        drop(database);
+        let store = open(dir.path(), 1);
+        assert_eq!(store.used().expect("a sum"), used, "with its rows");
+        let known = try_submit(&store, &long, 2);
+        assert!(matches!(known, Ok(Submitted::Known(_))), "{known:?}");
+        let place =
+            |id: &str| store.ahead(&store.get(id).expect("no fault").expect("the job")).expect("no fault").0;
+        assert_eq!([&queued, &done, &last].map(|id| place(id)), [0, 1, 2]);
+        assert_eq!(store.claim(3).expect("no fault").map(|job| job.id), Some(queued.clone()));
+        write(&store, &queued, b"abc");
+        let ids = store.list(None, 10, Some("")).expect("a list").into_iter().map(|job| job.id);
+        assert_eq!(ids.collect::<Vec<_>>(), [last, done, queued]);
+        assert_eq!(store.list(None, 10, Some("a")).expect("a list").len(), 0, "nobody's");
+        drop(store);
+        drop(open(dir.path(), 4));
+    }
 }
 
 /// Work that says when it is at it, and goes on when told how.
@@ -421,29 +572,68 @@ impl Work for Told {
     }
 }
 
+/// Its other ends.
+type Ends = (Receiver<String>, Sender<Result<(), Stopped>>);
+
+fn told() -> (Arc<dyn Work>, Ends) {
+    let (at, arrived) = channel();
+    let (go, going) = channel();
+    (Arc::new(Told(Mutex::new((at, going)))), (arrived, go))
+}
+
+fn keep(jobs: &Jobs, job: &NewJob) -> String {
+    let draft = Draft::new(job.clone());
+    let Admitted::New(id) = jobs.store().admit(&draft).expect("room") else { panic!("new") };
+    let input = jobs.store().write_input(&id, &draft).expect("room");
+    assert!(matches!(jobs.insert(&draft, input), Ok(Submitted::New(_))));
+    id
+}
+
+#[test]
+fn jobs_expire_while_all_threads_are_at_work() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let settings = Settings { expiry: Duration::from_millis(1), ..Settings::new(dir.path().to_owned()) };
+    let jobs = Arc::new(Jobs::open(settings).expect("a store"));
+    let (work, (arrived, go)) = told();
+    jobs.start(&work).expect("threads");
+    let first = keep(&jobs, &job("done", None, b"x"));
+    arrived.recv().expect("a job");
+    let long = keep(&jobs, &job("long", None, b"x"));
+    go.send(Ok(())).expect("the work listens");
+    arrived.recv().expect("a job");
+    // The row goes before its file.
+    let (start, left) = (Instant::now(), [format!("{long}.in"), format!("{long}.out.part")]);
+    while jobs.store().get(&first).expect("no fault").is_some() || files(dir.path()) != left {
+        assert!(start.elapsed() < Duration::from_secs(60), "it expires");
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    jobs.stop();
+    go.send(Ok(())).expect("the work listens");
+    jobs.join();
+}
+
 #[test]
 fn each_end_of_the_work_is_its_jobs_state() {
     let dir = tempfile::tempdir().expect("a folder");
-    let settings = Settings { disk: DISK, ..Settings::new(dir.path().to_owned()) };
+    let settings = Settings::new(dir.path().to_owned());
     let jobs = Arc::new(Jobs::open(settings).expect("a store"));
-    let (at, arrived) = channel();
-    let (go, going) = channel();
-    let work: Arc<dyn Work> = Arc::new(Told(Mutex::new((at, going))));
+    let (work, (arrived, go)) = told();
     jobs.start(&work).expect("a thread");
     let mut ids = HashMap::new();
-    for name in ["done", "refused", "later", "panic", "disk", "stopped"] {
-        let Submitted::New(job) = jobs.submit(&job(name, None, b"x")).expect("room") else { panic!("new") };
-        ids.insert(job.id, name);
+    for name in ["done", "refused", "later", "descriptors", "memory", "panic", "disk", "stopped"] {
+        ids.insert(keep(&jobs, &job(name, None, b"x")), name);
     }
-    let mut later = 0;
+    let mut again = HashSet::new();
     loop {
         let id = arrived.recv().expect("a job");
         let outcome = match ids[&id] {
             "refused" => Err(Stopped::Refused("why".into())),
-            "later" if later == 0 => {
-                later += 1;
-                Err(Stopped::Later)
+            "later" if again.insert(id.clone()) => Err(Stopped::Later),
+            // EMFILE and ENOMEM.
+            "descriptors" if again.insert(id.clone()) => {
+                Err(Stopped::Storage(io::Error::from_raw_os_error(24)))
             }
+            "memory" if again.insert(id.clone()) => Err(Stopped::Storage(io::Error::from_raw_os_error(12))),
             "disk" => Err(Stopped::Storage(io::ErrorKind::StorageFull.into())),
             "stopped" => {
                 jobs.stop();
@@ -459,7 +649,7 @@ fn each_end_of_the_work_is_its_jobs_state() {
     jobs.join();
     for job in jobs.store().list(None, 100, None).expect("a list") {
         let (state, attempts) = match ids[&job.id] {
-            "done" | "later" => (State::Done, 1),
+            "done" | "later" | "descriptors" | "memory" => (State::Done, 1),
             "stopped" => (State::Queued, 0),
             _ => (State::Failed, 1),
         };
@@ -475,6 +665,6 @@ fn each_end_of_the_work_is_its_jobs_state() {
         };
         assert_eq!(job.failure, failure);
     }
-    // One cloud that waits, two results.
-    assert_eq!(files(dir.path()).len(), 3);
+    // One cloud that waits, four results.
+    assert_eq!(files(dir.path()).len(), 5);
 }

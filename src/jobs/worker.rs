@@ -10,7 +10,8 @@ use std::time::{Duration, SystemTime};
 
 use tokio::sync::watch;
 
-use super::record::{Failure, NewJob, Record, Time};
+use super::files::Input;
+use super::record::{Draft, Failure, Record, Time};
 use super::store::{Bounds, Store, StoreError, Submitted};
 use crate::engine::{self, EngineError, Outcome, Progress, ProgressHandle};
 
@@ -74,6 +75,14 @@ pub enum Stopped {
     Storage(io::Error),
 }
 
+/// Whether a failure says nothing of the file: no descriptor was left, or no memory, or a signal came. What
+/// runs beside will be over some time.
+fn passes(error: &io::Error) -> bool {
+    // ENFILE and EMFILE, on every Unix, have no kind of their own.
+    let descriptors = cfg!(unix) && matches!(error.raw_os_error(), Some(23 | 24));
+    descriptors || matches!(error.kind(), io::ErrorKind::OutOfMemory | io::ErrorKind::Interrupted)
+}
+
 impl From<io::Error> for Stopped {
     fn from(error: io::Error) -> Self {
         Self::Storage(error)
@@ -124,7 +133,8 @@ impl Task {
         }
     }
 
-    fn progress(&self) -> Option<Progress> {
+    /// How far it is; none while it is read or waits for the engine. Waits for nothing but a moment.
+    pub fn progress(&self) -> Option<Progress> {
         self.lock().handle.as_ref().map(ProgressHandle::progress)
     }
 }
@@ -146,6 +156,8 @@ pub struct Jobs {
     running: Mutex<Running>,
     // Wakes the threads.
     queued: Condvar,
+    // Wakes the thread that looks for expired jobs, to end it.
+    stopped: Condvar,
     // A watch channel, so that many can wait for a change of any job.
     changes: watch::Sender<()>,
 }
@@ -161,6 +173,9 @@ struct Running {
 
 /// How often expired jobs are looked for, at least.
 const LOOK: Duration = Duration::from_secs(30);
+/// Expired jobs that are forgotten at once: one wait for the disk each time, between which others have the
+/// database.
+const BATCH: u32 = 200;
 /// Before a job that found no room is tried again.
 const PAUSE: Duration = Duration::from_millis(500);
 /// Before a database that could not be written is.
@@ -187,6 +202,7 @@ impl Jobs {
             settings,
             running: Mutex::default(),
             queued: Condvar::new(),
+            stopped: Condvar::new(),
             changes: watch::Sender::new(()),
         })
     }
@@ -209,24 +225,25 @@ impl Jobs {
     /// When the system gives no thread.
     pub fn start(self: &Arc<Self>, work: &Arc<dyn Work>) -> io::Result<()> {
         let mut running = self.lock();
+        let named = |name: String| std::thread::Builder::new().name(name);
         for i in 0..self.settings.running {
             let (jobs, work) = (Arc::clone(self), Arc::clone(work));
-            let thread = std::thread::Builder::new()
-                .name(format!("densecloud-stored-{i}"))
-                .spawn(move || jobs.work(&*work))?;
+            let thread = named(format!("densecloud-stored-{i}")).spawn(move || jobs.work(&*work))?;
             running.threads.push(thread);
         }
+        let jobs = Arc::clone(self);
+        running.threads.push(named("densecloud-expiry".to_owned()).spawn(move || jobs.expire())?);
         Ok(())
     }
 
-    /// Keeps a job; see [`Store::submit`].
+    /// Keeps a job; see [`Store::insert`].
     ///
     /// # Errors
-    /// As [`Store::submit`].
-    pub fn submit(&self, job: &NewJob) -> Result<Submitted, StoreError> {
-        let submitted = self.store.submit(job, now())?;
-        if let Submitted::New(Record { id, points_in, points_out, .. }) = &submitted {
-            tracing::info!(job = id, request = job.request_id, points_in, points_out, "job queued");
+    /// As [`Store::insert`].
+    pub fn insert(&self, draft: &Draft, input: Input) -> Result<Submitted, StoreError> {
+        let submitted = self.store.insert(draft, input, now())?;
+        if let Submitted::New(Record { id, request_id, points_in, points_out, .. }) = &submitted {
+            tracing::info!(job = id, request = request_id, points_in, points_out, "job queued");
             // Under the lock, or a thread that is just about to wait would miss it.
             let _running = self.lock();
             self.queued.notify_one();
@@ -259,10 +276,9 @@ impl Jobs {
         Ok(deleted)
     }
 
-    /// How far a running job is; none while it is read or waits for the engine.
-    pub fn progress(&self, id: &str) -> Option<Progress> {
-        let task = Arc::clone(&self.lock().tasks.get(id)?.1);
-        task.progress()
+    /// A running job.
+    pub fn task(&self, id: &str) -> Option<Arc<Task>> {
+        self.lock().tasks.get(id).map(|(_, task)| Arc::clone(task))
     }
 
     /// Points that running jobs still have to make, beside one that may have begun since it was looked up.
@@ -295,6 +311,7 @@ impl Jobs {
         }
         drop(running);
         self.queued.notify_all();
+        self.stopped.notify_all();
         self.changes.send_replace(());
     }
 
@@ -315,11 +332,9 @@ impl Jobs {
     fn work(&self, work: &dyn Work) {
         while let Some((job, task)) = self.next() {
             let stopped = self.run(&job, &task, work);
-            let mut running = self.lock();
-            running.tasks.remove(&job.id);
             self.changes.send_replace(());
             if let Err(Pause) = stopped {
-                drop(self.queued.wait_timeout(running, PAUSE));
+                drop(self.queued.wait_timeout(self.lock(), PAUSE));
             }
         }
     }
@@ -328,11 +343,11 @@ impl Jobs {
     fn next(&self) -> Option<(Record, Arc<Task>)> {
         let mut running = self.lock();
         while !running.stopping {
-            let mut wait = LOOK.min(self.settings.expiry.max(PAUSE));
-            self.expire();
-            running.lost.retain(|id| self.store.put_back(id).is_err());
+            let mut wait = LOOK;
             if !running.lost.is_empty() {
-                wait = BROKEN;
+                running.lost.retain(|id| self.store.put_back(id).is_err());
+                self.changes.send_replace(());
+                wait = if running.lost.is_empty() { LOOK } else { BROKEN };
             }
             match self.store.claim(now()) {
                 Ok(Some(job)) => {
@@ -358,11 +373,28 @@ impl Jobs {
         None
     }
 
+    /// Forgets jobs when their time has come, on a thread of its own, since all others may be at work for long,
+    /// and without the lock that they need.
     fn expire(&self) {
         let age = self.settings.expiry.as_millis().try_into().unwrap_or(Time::MAX);
-        match self.store.expire(now().saturating_sub(age)) {
-            Ok(expired) => expired.iter().for_each(|id| tracing::info!(job = id, "job expired")),
-            Err(error) => tracing::error!(%error, "expired jobs cannot be removed"),
+        let mut running = self.lock();
+        while !running.stopping {
+            drop(running);
+            let expired = self.store.expire(now().saturating_sub(age), BATCH);
+            let more = expired.as_ref().is_ok_and(|ids| ids.len() == BATCH as usize);
+            match expired {
+                Ok(ids) if ids.is_empty() => {}
+                Ok(ids) => {
+                    ids.iter().for_each(|id| tracing::info!(job = id, "job expired"));
+                    self.changes.send_replace(());
+                }
+                Err(error) => tracing::error!(%error, "expired jobs cannot be removed"),
+            }
+            running = self.lock();
+            if !more && !running.stopping {
+                let wait = LOOK.min(self.settings.expiry.max(PAUSE));
+                running = self.stopped.wait_timeout(running, wait).unwrap_or_else(PoisonError::into_inner).0;
+            }
         }
     }
 
@@ -374,7 +406,9 @@ impl Jobs {
             self.store.write_result(id, |sink| work.run(job, input, task, &mut Checked { sink, task }))
         }));
         // Against `stop` and `delete`, which may just now be at it.
-        let running = self.lock();
+        let mut running = self.lock();
+        // Under the same lock as the state: once it is put back, another thread may start it anew.
+        running.tasks.remove(id);
         let kept = match made.unwrap_or(Err(Stopped::Crashed)) {
             Ok(result) => self.store.done(id, &result, now()).inspect(|&done| {
                 if done {
@@ -382,15 +416,13 @@ impl Jobs {
                 }
             }),
             Err(_) if task.cancelled() => return Ok(()),
-            Err(Stopped::Later | Stopped::Cancelled) => {
-                let put = self.store.put_back(id);
-                if let Err(error) = &put {
-                    self.lose(running, id, error);
-                }
-                return Err(Pause);
-            }
+            Err(Stopped::Later | Stopped::Cancelled) => return Err(self.defer(running, id)),
             Err(Stopped::Refused(why)) => self.fail(job, &Failure::Refused(why)),
             Err(Stopped::Crashed) => self.fail(job, &Failure::Crashed),
+            Err(Stopped::Storage(error)) if passes(&error) => {
+                tracing::warn!(job = id, %error, "a job is tried again later");
+                return Err(self.defer(running, id));
+            }
             Err(Stopped::Storage(error)) => {
                 tracing::error!(job = id, %error, "a job's file cannot be read or written");
                 let full = StoreError::from(io::Error::from(error.kind())).is_full();
@@ -409,6 +441,13 @@ impl Jobs {
                 tracing::info!(job = job.id, request = job.request_id, ?failure, "job failed");
             }
         })
+    }
+
+    fn defer(&self, running: MutexGuard<'_, Running>, id: &str) -> Pause {
+        if let Err(error) = self.store.defer(id) {
+            self.lose(running, id, &error);
+        }
+        Pause
     }
 
     /// The database could not be written: the job is put back as soon as that works, or at the next start.

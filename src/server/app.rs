@@ -37,6 +37,8 @@ pub(super) struct App {
     // A semaphore: a question that nobody waits for any more keeps its turn until it is answered.
     pub(super) asking: Arc<Semaphore>,
     pub(super) parsing: Arc<Parsing>,
+    /// For clouds of jobs that are written.
+    pub(super) writing: Arc<Semaphore>,
     /// Requests whose response is not over, probes aside. A watch channel, so that a stopping server
     /// can wait for none.
     pub(super) in_flight: watch::Sender<usize>,
@@ -51,6 +53,7 @@ impl App {
             budget: Budget::new(config.limits.held_bytes),
             asking: Arc::new(Semaphore::new(jobs::ASKING)),
             parsing: Arc::new(Parsing::new()),
+            writing: Arc::new(Semaphore::new(jobs::WRITING)),
             in_flight: watch::Sender::new(0),
             engine,
             config,

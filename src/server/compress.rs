@@ -75,9 +75,9 @@ impl Compression {
         Self::preferred(headers).filter(|_| length >= SHORTEST && shrinks(media_type))
     }
 
-    /// The tag of a file that has this one as it is: another representation needs another tag.
+    /// The tag of what has this one as it is: another representation needs another tag.
     pub(super) fn tag(self, tag: &str) -> String {
-        format!("{tag}-{}", self.name())
+        format!("{}-{}\"", tag.trim_end_matches('"'), self.name())
     }
 
     fn name(self) -> &'static str {
@@ -130,6 +130,12 @@ pub(super) async fn compress(State(app): State<Arc<App>>, request: Request, next
     let headers = response.headers_mut();
     headers.remove(header::CONTENT_LENGTH);
     headers.remove(header::ACCEPT_RANGES);
+    let tag = headers
+        .get(header::ETAG)
+        .and_then(|tag| HeaderValue::from_str(&compression.tag(tag.to_str().ok()?)).ok());
+    if let Some(tag) = tag {
+        headers.insert(header::ETAG, tag);
+    }
     headers.insert(header::CONTENT_ENCODING, HeaderValue::from_static(compression.name()));
     if bodyless { response } else { response.map(|body| encoded(body, encoder, held)) }
 }

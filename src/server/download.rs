@@ -10,7 +10,7 @@ use tokio::task::spawn_blocking;
 
 use super::budget::Held;
 use crate::cloud::{Attribute, Origin, Position};
-use crate::formats::{CloudWriter, Format, FormatError, encode};
+use crate::formats::{CloudWriter, Format, FormatError, PcdEncoding, PlyEncoding, encode};
 
 /// Points encoded at a time: 48 KiB in the commonest format, well under a millisecond of work.
 pub(super) const BLOCK: usize = 4096;
@@ -30,6 +30,23 @@ pub(super) fn result_bytes(points: u64, attribute_bytes: u64, format: Format) ->
     let a_point = size_of::<Position>() as u64 + attribute_bytes;
     // What is not streamed is there as points and as the file, and in between as what is compressed.
     points.saturating_mul(if format.is_streamed() { a_point } else { 3 * a_point + 16 })
+}
+
+/// Bytes that a result's file will have, about, and mostly less: as [`result_bytes`] counts points.
+pub(super) fn file_bytes(points: u64, attribute_bytes: u64, format: Format) -> u64 {
+    let a_point = size_of::<Position>() as u64 + attribute_bytes;
+    points.saturating_mul(match format {
+        // What takes one byte is four characters with what parts it from the next, `255 ` or `-128`; what takes
+        // eight is 24 at most, but for numbers such as 1e-300.
+        Format::Xyz { .. }
+        | Format::Ply { encoding: PlyEncoding::Ascii, .. }
+        | Format::Pcd { encoding: PcdEncoding::Ascii, .. } => {
+            3 * size_of::<Position>() as u64 + 4 * attribute_bytes
+        }
+        // Fields that each record has, whether or not the cloud has them.
+        Format::Las { .. } => a_point + 24,
+        _ => a_point,
+    })
 }
 
 /// A result as a response's body, which holds its share of the memory until it is over.
@@ -126,7 +143,7 @@ mod tests {
     use super::super::budget::Budget;
     use super::*;
     use crate::cloud::Values;
-    use crate::formats::{PlyEncoding, Scalar};
+    use crate::formats::{Scalar, Separator};
 
     #[tokio::test]
     async fn the_body_is_what_one_writer_would_have_written_at_once() {
@@ -154,6 +171,41 @@ mod tests {
                     assert!(sent == whole, "{format:?}, {count} points");
                 }
                 assert_eq!(budget.used(), 0, "the memory is given back");
+            }
+        }
+    }
+
+    #[test]
+    fn a_file_is_not_much_longer_than_it_was_taken_for() {
+        let count = 1000;
+        // All digits that there are, and the longest numbers.
+        let positions: Vec<Position> =
+            (0..count).map(|i| [-1e6 / 3.0 - f64::from(i), -0.1 / f64::from(i + 3), 1.0 / 3.0]).collect();
+        let values = |values: Values| Attribute { name: "one".into(), values };
+        let attributes = [
+            values(Values::I8(vec![i8::MIN; count as usize])),
+            values(Values::U8(vec![u8::MAX; count as usize])),
+            values(Values::I16(vec![i16::MIN; count as usize])),
+            values(Values::F32(vec![-1.0 / 3.0; count as usize])),
+            values(Values::F64(vec![-1.0 / 3.0; count as usize])),
+        ];
+        for format in [
+            Format::TEXT,
+            Format::Xyz { names: true, separator: Separator::Comma },
+            Format::Ply { encoding: PlyEncoding::Ascii, scalar: Scalar::F64 },
+            Format::Ply { encoding: PlyEncoding::BinaryBigEndian, scalar: Scalar::F64 },
+            Format::Pcd { encoding: PcdEncoding::Ascii, scalar: Scalar::F64 },
+            Format::Pcd { encoding: PcdEncoding::Compressed, scalar: Scalar::F64 },
+            Format::Npy { scalar: Scalar::F64, fields: true },
+            Format::Las { compressed: false },
+            Format::Las { compressed: true },
+            Format::E57,
+        ] {
+            for attributes in [&attributes[..0], &attributes[..1], &attributes[1..2], &attributes[2..]] {
+                let origin = Origin::default();
+                let file = encode(Vec::new(), format, &positions, attributes, &origin).unwrap();
+                let guess = file_bytes(count as u64, crate::cloud::bytes_a_point(attributes), format);
+                assert!(file.len() as u64 <= guess + 4096, "{format:?}: {} of {guess}", file.len());
             }
         }
     }

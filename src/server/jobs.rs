@@ -5,7 +5,8 @@ use std::time::Duration;
 
 use axum::Json;
 use axum::body::Body;
-use axum::extract::{Extension, Path, State};
+use axum::extract::{Extension, FromRequestParts, Path, State};
+use axum::http::request::Parts;
 use axum::http::{HeaderMap, HeaderValue, StatusCode, Uri, header};
 use axum::response::{IntoResponse, Response};
 use serde::Serialize;
@@ -26,7 +27,7 @@ use super::upload::{Received, Upload};
 use super::upsample::{Order, prepare};
 use crate::engine::{Client, Cost};
 use crate::formats::Format;
-use crate::jobs::{Deleted, Jobs, Load, NewJob, Record, StoreError, Submitted};
+use crate::jobs::{Admitted, Deleted, Draft, Jobs, Load, NewJob, Record, StoreError, Submitted};
 
 impl App {
     pub(super) fn jobs(&self) -> Result<&Arc<Jobs>, Problem> {
@@ -42,7 +43,7 @@ impl From<StoreError> for Problem {
             StoreError::Full { queued, limit } => Self::JobsFull { queued, limit, retry_after: SOON },
             StoreError::ClientFull { queued, limit } => Self::ClientJobs { queued, limit, retry_after: SOON },
             error if error.is_full() => Self::DiskFull(error.to_string()),
-            error if error.is_busy() => Self::JobsBusy,
+            error if error.is_busy() => Self::JobsBusy("another program has locked the jobs' database"),
             error => Self::Internal(error.to_string()),
         }
     }
@@ -63,13 +64,32 @@ pub(super) async fn ask<T: Send + 'static>(
     question: impl FnOnce(&Arc<Jobs>) -> Result<T, Problem> + Send + 'static,
 ) -> Result<T, Problem> {
     let jobs = Arc::clone(app.jobs()?);
-    let turn = timeout(TURN, Arc::clone(&app.asking).acquire_owned()).await.map_err(|_| Problem::JobsBusy)?;
+    let turn = timeout(TURN, Arc::clone(&app.asking).acquire_owned()).await;
+    let turn = turn.map_err(|_| Problem::JobsBusy("the jobs' database is busy with other requests"))?;
     let asked = spawn_blocking(move || {
         // Until the answer is there, also where nobody waits for it any more.
         let _turn = turn;
         question(&jobs)
     });
     asked.await.map_err(|error| Problem::Internal(error.to_string()))?
+}
+
+/// Clouds of jobs that are written at a time: each takes a thread, and a while.
+pub(super) const WRITING: usize = 4;
+
+/// Does, when it is its `turn`, with a job's cloud what takes a while, and nothing with the database: those that wait
+/// for a turn, until their deadline, keep nobody from asking the store.
+async fn work<T: Send + 'static>(
+    app: &Arc<App>,
+    turn: impl Send + 'static,
+    work: impl FnOnce(&App) -> Result<T, Problem> + Send + 'static,
+) -> Result<T, Problem> {
+    let app = Arc::clone(app);
+    let done = spawn_blocking(move || {
+        let _turn = turn;
+        work(&app)
+    });
+    done.await.map_err(|error| Problem::Internal(error.to_string()))?
 }
 
 /// `POST /jobs`: as `POST /upsample` until the cloud is read, then 202 instead of the result. What
@@ -143,19 +163,47 @@ async fn take(
         app.check_points(points_in, points_out)?;
         app.engine.check_memory(Cost { points_in, points_out }).map_err(Problem::Refused)
     };
+    Asked::check(uri.query().unwrap_or_default())?;
     let Asking { parameters, query, received } = Asking::receive(upload, uri, headers, app, known).await?;
-    let asked = Asked::of(query, headers);
-    let (shared, client, id) = (Arc::clone(app), client.clone(), id.as_str().to_owned());
-    let (submitted, document) = ask(app, move |jobs| {
-        let (job, _held) = new_job(&shared, received, &parameters, wanted, &asked)?;
-        let owner = shared.config.access.owner(&client).unwrap_or_default();
-        let job = NewJob { key, owner, client: client.name().to_owned(), request_id: id, ..job };
-        let submitted = jobs.submit(&job).map_err(|error| refused(&shared, jobs, &client, error))?;
-        let (Submitted::New(record) | Submitted::Known(record)) = &submitted;
-        let document = Document::of(&shared, jobs, record)?;
-        Ok((submitted, document))
+    let asked = Asked::of(query, wanted)?;
+    let owner = app.config.access.owner(client).unwrap_or_default();
+    let (name, id) = (client.name().to_owned(), id.as_str().to_owned());
+    let turn = app.parsing.turn(client, received.bytes().len() as u64).await;
+    let draft = work(app, turn, move |app| {
+        let (job, held) = new_job(app, received, &parameters, wanted, &asked)?;
+        let job = NewJob { key, owner, client: name, request_id: id, ..job };
+        Ok(Arc::new((Draft::new(job), held)))
     })
     .await?;
+    let (shared, new, of) = (Arc::clone(app), Arc::clone(&draft), client.clone());
+    let admit = move |jobs: &Arc<Jobs>| {
+        jobs.store().admit(&new.0).map_err(|error| refused(&shared, jobs, &of, error))
+    };
+    let (submitted, document) = match ask(app, admit).await? {
+        Admitted::Known(record) => {
+            let (shared, known) = (Arc::clone(app), record.clone());
+            let document = ask(app, move |jobs| Document::of(&shared, jobs, &known)).await?;
+            (Submitted::Known(*record), document)
+        }
+        Admitted::New(id) => {
+            let (jobs, new) = (Arc::clone(app.jobs()?), Arc::clone(&draft));
+            let turn = Arc::clone(&app.writing).acquire_owned().await;
+            let turn = turn.map_err(|error| Problem::Internal(error.to_string()))?;
+            let input = work(app, turn, move |_| {
+                jobs.store().write_input(&id, &new.0).map_err(|error| StoreError::from(error).into())
+            });
+            let input = input.await?;
+            let (shared, of) = (Arc::clone(app), client.clone());
+            ask(app, move |jobs| {
+                let submitted =
+                    jobs.insert(&draft.0, input).map_err(|error| refused(&shared, jobs, &of, error))?;
+                let (Submitted::New(record) | Submitted::Known(record)) = &submitted;
+                let document = Document::of(&shared, jobs, record)?;
+                Ok((submitted, document))
+            })
+            .await?
+        }
+    };
     let (status, record) = match submitted {
         Submitted::New(record) => (StatusCode::ACCEPTED, record),
         Submitted::Known(record) => (StatusCode::OK, record),
@@ -187,7 +235,7 @@ fn new_job(
         request_id: String::new(),
         points_in: prepared.about.points_in,
         points_out,
-        result_bytes: prepared.room,
+        result_bytes: prepared.file,
         input,
     };
     Ok((job, held))
@@ -207,13 +255,32 @@ fn idempotency_key(headers: &HeaderMap) -> Result<Option<String>, Problem> {
     }
 }
 
+/// A job's name in a path; what is no text names none.
+pub(super) struct Name(pub(super) String);
+
+impl<S: Send + Sync> FromRequestParts<S> for Name {
+    type Rejection = Problem;
+
+    async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, Problem> {
+        match Path::from_request_parts(parts, state).await {
+            Ok(Path(name)) => Ok(Self(name)),
+            Err(_) => Err(Problem::NoJob("of this name".to_owned())),
+        }
+    }
+}
+
 /// `GET /jobs/{id}`.
 pub(super) async fn get(
     State(app): State<Arc<App>>,
     Extension(client): Extension<Client>,
-    Path(id): Path<String>,
+    Name(id): Name,
 ) -> Result<Json<Document>, Problem> {
     Ok(Json(Document::ask(&app, &client, id).await?))
+}
+
+/// Whether a client may see a job.
+pub(super) fn is_seen(app: &App, client: &Client, job: &Record) -> bool {
+    app.config.access.owner(client).is_none_or(|owner| owner == job.owner)
 }
 
 /// The record of a job that a client may see.
@@ -221,8 +288,7 @@ pub(super) async fn get(
 /// # Errors
 /// [`Problem::NoJob`], for another's as for none.
 pub(super) fn seen(app: &App, jobs: &Jobs, client: &Client, id: &str) -> Result<Record, Problem> {
-    let owner = app.config.access.owner(client);
-    let found = jobs.store().get(id)?.filter(|job| owner.is_none_or(|owner| owner == job.owner));
+    let found = jobs.store().get(id)?.filter(|job| is_seen(app, client, job));
     found.ok_or_else(|| Problem::NoJob(id.to_owned()))
 }
 
@@ -230,7 +296,7 @@ pub(super) fn seen(app: &App, jobs: &Jobs, client: &Client, id: &str) -> Result<
 pub(super) async fn delete(
     State(app): State<Arc<App>>,
     Extension(client): Extension<Client>,
-    Path(id): Path<String>,
+    Name(id): Name,
 ) -> Result<Response, Problem> {
     let (shared, name, of) = (Arc::clone(&app), id.clone(), client.clone());
     let deleted = ask(&app, move |jobs| {
@@ -300,4 +366,40 @@ fn page_of(uri: &Uri) -> Result<(Option<i64>, u32), Problem> {
         }
     }
     Ok((before, limit))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::backend::Fake;
+    use crate::engine::{Engine, EngineConfig};
+    use crate::jobs::Settings;
+    use crate::server::Config;
+
+    #[tokio::test]
+    async fn clouds_that_are_written_and_questions_to_the_store_do_not_wait_for_each_other() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let engine = Engine::with_backend(Arc::new(Fake::new()), EngineConfig::default()).expect("an engine");
+        let jobs = Arc::new(Jobs::open(Settings::new(folder.path().to_owned())).expect("a store"));
+        let app = Arc::new(App::new(engine, Config::default(), Some(jobs)).expect("an app"));
+        app.readiness.ready();
+        let writing = app.writing.acquire_many(WRITING as u32).await.expect("turns");
+        assert!(ask(&app, |jobs| Ok(jobs.store().used()?)).await.is_ok());
+        drop(writing);
+        let asking = app.asking.acquire_many(ASKING as u32).await.expect("turns");
+        let post = async |body: &'static str| {
+            let mut headers = HeaderMap::new();
+            headers.insert("idempotency-key", HeaderValue::from_static("k-1"));
+            let (app, uri) = (State(Arc::clone(&app)), Uri::from_static("/jobs?ratio=1"));
+            let id = Extension(RequestId::of(&headers));
+            let answer = submit(app, id, Extension(Client::new("a")), uri, headers, body.into()).await;
+            answer.expect_err("no turn")
+        };
+        let problem = post("no cloud").await;
+        assert_eq!(problem.outcome(), "unsupported-format", "{problem}");
+        let problem = post("0 0 0\n1 0 0\n0 1 0\n0 0 1\n").await;
+        assert_eq!(problem.outcome(), "jobs-busy");
+        assert!(!problem.to_string().contains("another program"), "{problem}");
+        drop(asking);
+    }
 }

@@ -10,7 +10,7 @@ use super::jobs::{ask, seen};
 use super::problem::Problem;
 use super::upsample::About;
 use crate::engine::Client;
-use crate::jobs::{Failure, Jobs, Record, ResultFile, State, Time, now};
+use crate::jobs::{Failure, Jobs, Record, ResultFile, State, Task, Time, now};
 
 /// One job.
 #[derive(Debug, Clone, Serialize)]
@@ -73,7 +73,18 @@ impl Document {
 
     /// Blocks for moments.
     pub(super) fn of(app: &App, jobs: &Jobs, record: &Record) -> Result<Self, Problem> {
-        let progress = Progress::of(jobs, record);
+        let task = jobs.task(&record.id);
+        Self::with(app, jobs, record, task.as_deref())
+    }
+
+    /// As [`Document::of`], with what is known of a running job in memory.
+    pub(super) fn with(
+        app: &App,
+        jobs: &Jobs,
+        record: &Record,
+        task: Option<&Task>,
+    ) -> Result<Self, Problem> {
+        let progress = Progress::of(record, task);
         let mut document = Self {
             id: record.id.clone(),
             state: record.state.name(),
@@ -100,43 +111,61 @@ impl Document {
             request_id: record.request_id.clone(),
             progress,
         };
-        // Milliseconds for so many points.
-        let time = |points: u64| Some((points as f64 / app.engine.rate()? * 1000.0).min(1e15) as Time);
-        let now = now();
         match record.state {
             State::Queued => {
                 let (count, points) = jobs.store().ahead(record)?;
                 document.position = Some(count);
-                let start =
-                    time(points.saturating_add(jobs.points_running(&record.id))).map(|wait| now + wait);
+                let start = time(app, points.saturating_add(jobs.points_running(&record.id)))
+                    .map(|wait| now() + wait);
                 document.expected_start = start.map(rfc3339);
                 document.expected_end =
-                    start.zip(time(record.points_out)).map(|(start, work)| rfc3339(start + work));
+                    start.zip(time(app, record.points_out)).map(|(start, work)| rfc3339(start + work));
             }
-            State::Running => {
-                let left = record.points_out as f64 * (1.0 - document.progress.fraction);
-                document.expected_end = time(left as u64).map(|work| rfc3339(now + work));
-            }
+            State::Running => document.expect_end(app),
             State::Done | State::Failed | State::Cancelled => {}
         }
         Ok(document)
     }
+
+    /// Takes a running job's progress from memory.
+    pub(super) fn advance(&mut self, app: &App, task: &Task) {
+        if let Some(progress) = task.progress() {
+            self.progress = progress.into();
+            self.expect_end(app);
+        }
+    }
+
+    fn expect_end(&mut self, app: &App) {
+        let left = self.points_out as f64 * (1.0 - self.progress.fraction);
+        self.expected_end = time(app, left as u64).map(|work| rfc3339(now() + work));
+    }
+}
+
+/// Milliseconds for so many points.
+fn time(app: &App, points: u64) -> Option<Time> {
+    Some((points as f64 / app.engine.rate()? * 1000.0).min(1e15) as Time)
 }
 
 impl Progress {
-    fn of(jobs: &Jobs, record: &Record) -> Self {
-        let running = jobs.progress(&record.id).filter(|_| record.state == State::Running);
-        match running {
-            Some(progress) => Self {
-                stage: progress.stage.map(crate::cascade::Stage::name),
-                level: progress.level,
-                levels: progress.levels,
-                fraction: progress.fraction,
-            },
-            None => {
+    fn of(record: &Record, task: Option<&Task>) -> Self {
+        let running = task.filter(|_| record.state == State::Running).and_then(Task::progress);
+        running.map_or_else(
+            || {
                 let fraction = if record.state == State::Done { 1.0 } else { 0.0 };
                 Self { stage: None, level: 0, levels: 0, fraction }
-            }
+            },
+            Self::from,
+        )
+    }
+}
+
+impl From<crate::engine::Progress> for Progress {
+    fn from(progress: crate::engine::Progress) -> Self {
+        Self {
+            stage: progress.stage.map(crate::cascade::Stage::name),
+            level: progress.level,
+            levels: progress.levels,
+            fraction: progress.fraction,
         }
     }
 }

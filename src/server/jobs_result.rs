@@ -6,37 +6,38 @@ use std::ops::Range;
 use std::sync::Arc;
 
 use axum::body::{Body, Bytes};
-use axum::extract::{Extension, Path, State};
+use axum::extract::{Extension, State};
 use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use futures::stream;
 use tokio::task::spawn_blocking;
 
 use super::app::App;
+use super::budget::Held;
 use super::compress::{AsIs, Compression};
-use super::jobs::{ask, seen};
+use super::jobs::{Name, ask, is_seen};
 use super::jobs_document::about;
 use super::problem::Problem;
 use crate::engine::Client;
 
 /// Bytes read at a time.
-const CHUNK: u64 = 256 << 10;
+const CHUNK: u64 = 64 << 10;
+/// Pieces of a result in memory: one is read, or waits to be sent, while the one before it is.
+const PIECES: u64 = 2;
 
 /// The handler. Also answers `HEAD`, since axum leaves the body out there.
 pub(super) async fn result(
     State(app): State<Arc<App>>,
     Extension(client): Extension<Client>,
-    Path(id): Path<String>,
+    Name(id): Name,
     method: Method,
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
     let shared = Arc::clone(&app);
     let (result, mut file) = ask(&app, move |jobs| {
-        let record = seen(&shared, jobs, &client, &id)?;
-        match jobs.store().result(&id)? {
-            Some((_, result, file)) => Ok((result, file)),
-            None => Err(Problem::JobNotDone { state: record.state.name() }),
-        }
+        let found = jobs.store().result(&id)?.filter(|(job, _)| is_seen(&shared, &client, job));
+        let (job, result) = found.ok_or(Problem::NoJob(id))?;
+        result.ok_or(Problem::JobNotDone { state: job.state.name() })
     })
     .await?;
     let about = about(&result)?;
@@ -46,13 +47,15 @@ pub(super) async fn result(
         None if !about.packed => Compression::of_file(&headers, &about.media_type, result.bytes),
         _ => None,
     };
-    let tag = compression.map_or_else(|| result.sha256.clone(), |one| one.tag(&result.sha256));
-    let tag = format!("\"{tag}\"");
+    let plain = format!("\"{}\"", result.sha256);
+    let tag = compression.map_or_else(|| plain.clone(), |one| one.tag(&plain));
     let mut response = if has(&headers, header::IF_NONE_MATCH, &tag) {
-        StatusCode::NOT_MODIFIED.into_response()
+        let mut response = StatusCode::NOT_MODIFIED.into_response();
+        response.headers_mut().insert(header::ETAG, value(&tag)?);
+        response
     } else {
         // A part of another version of the file would be of no use (RFC 9110, section 13.1.5).
-        let valid = headers.get(header::IF_RANGE).is_none_or(|one| one.as_bytes() == tag.as_bytes());
+        let valid = headers.get(header::IF_RANGE).is_none_or(|one| one.as_bytes() == plain.as_bytes());
         let range = range.filter(|_| valid).and_then(|range| range.to_str().ok());
         let part = range.map_or(Ok(None), |range| part(range, result.bytes))?;
         let Range { start, end } = part.clone().unwrap_or(0..result.bytes);
@@ -60,9 +63,13 @@ pub(super) async fn result(
             // A seek only sets a number: it does not wait for the disk.
             file.seek(SeekFrom::Start(start)).map_err(|error| Problem::Internal(error.to_string()))?;
         }
-        let mut response = body(file, end - start).into_response();
+        let held = app.budget.hold((end - start).min(PIECES * CHUNK)).ok_or_else(|| app.held_full())?;
+        let mut response = body(file, end - start, held).into_response();
         let headers = response.headers_mut();
         headers.insert(header::CONTENT_LENGTH, (end - start).into());
+        // Whoever compresses it changes the tag and takes the ranges away.
+        headers.insert(header::ETAG, value(&plain)?);
+        headers.insert(header::ACCEPT_RANGES, HeaderValue::from_static("bytes"));
         if part.is_some() {
             headers.insert(
                 header::CONTENT_RANGE,
@@ -72,12 +79,7 @@ pub(super) async fn result(
         }
         response
     };
-    let headers = response.headers_mut();
-    about.tell(headers);
-    headers.insert(header::ETAG, value(&tag)?);
-    if compression.is_none() {
-        headers.insert(header::ACCEPT_RANGES, HeaderValue::from_static("bytes"));
-    }
+    about.tell(response.headers_mut());
     if range.is_some() && !about.packed {
         response.headers_mut().insert(header::VARY, HeaderValue::from_static("accept-encoding"));
     }
@@ -120,8 +122,8 @@ fn part(header: &str, length: u64) -> Result<Option<Range<u64>>, Problem> {
 }
 
 /// So many bytes of a file from where it stands, read as fast as the client reads.
-fn body(file: File, left: u64) -> Body {
-    Body::from_stream(stream::try_unfold((file, left), |(mut file, left)| async move {
+fn body(file: File, left: u64, held: Held) -> Body {
+    Body::from_stream(stream::try_unfold((file, left, held), |(mut file, left, held)| async move {
         if left == 0 {
             return Ok(None);
         }
@@ -131,13 +133,31 @@ fn body(file: File, left: u64) -> Body {
         });
         let (bytes, file) = read.await.map_err(io::Error::other)??;
         let left = left - bytes.len() as u64;
-        Ok::<_, io::Error>(Some((Bytes::from(bytes), (file, left))))
+        Ok::<_, io::Error>(Some((Bytes::from(bytes), (file, left, held))))
     }))
 }
 
 #[cfg(test)]
 mod tests {
+    use super::super::budget::Budget;
     use super::*;
+    use http_body_util::BodyExt;
+
+    #[tokio::test]
+    async fn a_result_that_is_not_read_holds_its_pieces_until_it_is_over() {
+        let mut file = tempfile::tempfile().expect("a file");
+        file.set_len(3 * CHUNK).expect("room");
+        file.rewind().expect("a file");
+        let budget = Budget::new(PIECES * CHUNK);
+        let mut body = body(file, 3 * CHUNK, budget.hold(PIECES * CHUNK).expect("room"));
+        for _ in 0..3 {
+            assert_eq!(budget.used(), PIECES * CHUNK);
+            let piece = body.frame().await.expect("a piece").expect("no fault").into_data().expect("bytes");
+            assert_eq!(piece.len() as u64, CHUNK);
+        }
+        assert!(body.frame().await.is_none());
+        assert_eq!(budget.used(), 0);
+    }
 
     #[test]
     fn one_range_is_read_as_the_standard_says() {

@@ -172,11 +172,12 @@ fn open_jobs(config: &Config) -> Result<Option<Arc<Jobs>>, ServeError> {
     }
 }
 
-/// Puts running jobs back, so that the next start finds them queued.
-async fn stop_jobs(app: &App) {
+/// Puts running jobs back, so that the next start finds them queued. Those that a slow disk keeps it from are
+/// found running, and queued then.
+async fn stop_jobs(app: &App, deadline: Instant) {
     if let Some(jobs) = app.jobs.clone() {
         // Only a panic could come back, and that is in the log.
-        let _ = spawn_blocking(move || jobs.stop()).await;
+        let _ = timeout_at(deadline, spawn_blocking(move || jobs.stop())).await;
     }
 }
 
@@ -199,10 +200,10 @@ async fn drain(app: &App, shutdown: impl Future<Output = ()>, close: &watch::Sen
         sleep(lead).await;
     }
     app.readiness.drain();
-    stop_jobs(app).await;
+    let deadline = Instant::now() + app.config.timeouts.drain;
+    stop_jobs(app, deadline).await;
     let mut in_flight = app.in_flight.subscribe();
     tracing::info!(in_flight = *in_flight.borrow(), "draining");
-    let deadline = Instant::now() + app.config.timeouts.drain;
     if timeout_at(deadline, in_flight.wait_for(|count| *count == 0)).await.is_err() {
         tracing::warn!(in_flight = *app.in_flight.borrow(), "cancelling what is not done by the deadline");
     }

@@ -16,7 +16,7 @@ use super::accepted::accepted;
 use super::app::App;
 use super::budget::Held;
 use super::compress::AsIs;
-use super::download::{self, Dense, result_bytes};
+use super::download::{self, Dense, file_bytes, result_bytes};
 use super::form::Asking;
 use super::problem::Problem;
 use super::query::{self, Parameters};
@@ -222,6 +222,8 @@ pub(super) struct Prepared {
     pub(super) request: Request,
     /// Memory that the result will take.
     pub(super) room: u64,
+    /// Bytes that it will take as a file, about.
+    pub(super) file: u64,
     pub(super) format: Format,
     pub(super) origin: Origin,
     pub(super) about: About,
@@ -229,7 +231,7 @@ pub(super) struct Prepared {
 
 /// Blocking work: checks and queues the cloud.
 fn submit(app: &App, ticket: Ticket, order: Order) -> Result<Submitted, Problem> {
-    let Prepared { request, room, format, origin, about } = prepare(app, order)?;
+    let Prepared { request, room, format, origin, about, .. } = prepare(app, order)?;
     let held = app.budget.hold(room).ok_or_else(|| app.held_full())?;
     let job = ticket.submit(request)?;
     Ok(Submitted { job, held, format, origin, about })
@@ -255,9 +257,10 @@ pub(super) fn prepare(app: &App, order: Order) -> Result<Prepared, Problem> {
     let finish = parameters.finish;
     let (mut origin, lost) = finish.origin(&cloud);
     warnings.extend(lost);
-    let tables = origin.tables.iter().map(Table::bytes).sum();
+    let tables: u64 = origin.tables.iter().map(Table::bytes).sum();
     let a_point = finish.bytes_a_point(&cloud.attributes);
     let room = result_bytes(points, a_point, format).saturating_add(tables);
+    let file = file_bytes(points, a_point, format).saturating_add(tables);
     let limit = app.config.limits.held_bytes;
     if room > limit {
         return Err(Problem::ResultTooLarge { points, bytes: room, limit });
@@ -278,7 +281,7 @@ pub(super) fn prepare(app: &App, order: Order) -> Result<Prepared, Problem> {
     let media_type = format.media_type().to_owned();
     let packed = format.is_packed();
     let about = About { media_type, points_in, points_out: points, provenance, warnings, packed };
-    Ok(Prepared { request, room, format, origin, about })
+    Ok(Prepared { request, room, file, format, origin, about })
 }
 
 /// The longest value of a header of ours; names of properties are the client's to choose.

@@ -1,6 +1,7 @@
 //! Jobs: kept, run, told of, and there again after a new start.
 
 use std::path::Path;
+use std::time::Duration;
 
 use densecloud::cascade::Target;
 use densecloud::formats::Format;
@@ -379,4 +380,123 @@ fn requests_at_once_under_one_key_are_one_job() {
     assert_eq!(replies.iter().filter(|reply| reply.status == 200).count(), 7);
     assert!(replies.iter().all(|reply| reply.header("location") == replies[0].header("location")));
     assert_eq!(json(&server.get("/jobs"))["jobs"].as_array().expect("jobs").len(), 1);
+}
+
+#[test]
+fn of_a_request_no_more_is_kept_than_is_needed() {
+    let folder = folder();
+    let backend = Scripted::new();
+    let server = Server::start(&backend, config(folder.path()));
+    let body = encode(&cloud(100), PLY);
+    // As long as a head may be.
+    let accept = format!("accept: text/csv{}\r\n", ", image/x-nothing".repeat(3500));
+    let reply = server.ask("POST", "/jobs?ratio=2", &accept, &body);
+    assert_eq!(reply.status, 202, "{}", reply.text());
+    let path = reply.header("location").expect("a location").to_owned();
+    wait_for(&server, &path, "done");
+    assert_eq!(server.get(&format!("{path}/result")).header("content-type"), Some("text/csv; charset=utf-8"));
+    let database = rusqlite::Connection::open(folder.path().join("jobs.sqlite")).expect("a database");
+    let kept: i64 =
+        database.query_row("SELECT max(length(request)) FROM jobs", [], |row| row.get(0)).expect("a row");
+    assert!(kept < 200, "{kept}");
+    // In the query, and in a form, which may be longer than any URI.
+    let long = |count: usize| format!("{}1,2,3", "0".repeat(count));
+    let refused = server.post(&format!("/jobs?ratio=2&sensor={}", long(17_000)), &body);
+    assert_eq!((refused.status, refused.problem_name().as_str()), (400, "invalid-parameter"));
+    assert!(refused.text().contains("16384"), "{}", refused.text());
+    for (count, status) in [(100_000, 400), (16_000, 202)] {
+        let field = |name: &str, value: &str| {
+            format!("--b\r\ncontent-disposition: form-data; name=\"{name}\"\r\n\r\n{value}\r\n")
+        };
+        let file = "--b\r\ncontent-disposition: form-data; name=\"cloud\"; filename=\"a.ply\"\r\n\r\n";
+        let fields = field("ratio", "2") + &field("sensor", &long(count)) + file;
+        let form = [fields.as_bytes(), &body, b"\r\n--b--\r\n"].concat();
+        let reply = server.ask("POST", "/jobs", "content-type: multipart/form-data; boundary=b\r\n", &form);
+        assert_eq!(reply.status, status, "{}", reply.text());
+        if status == 202 {
+            wait_for(&server, reply.header("location").expect("a location"), "done");
+        }
+    }
+}
+
+#[test]
+fn a_job_that_is_above_a_limit_of_today_fails_and_holds_nobody_up() {
+    let folder = folder();
+    let backend = Scripted::new();
+    let mut server = Server::start(&backend, config(folder.path()));
+    backend.shut();
+    let running = submit(&server, "ratio=2", &encode(&cloud(100), PLY));
+    wait_for(&server, &running, "running");
+    let large = submit(&server, "ratio=2", &encode(&cloud(2000), PLY));
+    let small = submit(&server, "ratio=2", &encode(&cloud(100), PLY));
+    server.stop();
+    wait_until("it is draining", || server.get("/readyz").status != 200);
+    backend.open();
+    assert!(server.join().is_ok());
+    let mut config = config(folder.path());
+    config.limits.body_bytes = 10_000;
+    config.limits.points_out = 800;
+    // Less than the cloud, so it would wait for room for ever.
+    config.limits.held_bytes = 20_000;
+    let server = Server::start(&Scripted::new(), config);
+    let job = wait_for(&server, &large, "failed");
+    assert_eq!(job["problem"]["type"], "urn:densecloud:problem:body-too-large", "{job}");
+    assert_eq!(job["problem"]["setting"], "--max-body-bytes");
+    wait_for(&server, &running, "done");
+    wait_for(&server, &small, "done");
+}
+
+#[test]
+fn a_result_that_memory_does_not_suffice_to_compress_has_the_tag_of_what_is_sent() {
+    let folder = folder();
+    let mut config = config(folder.path());
+    config.limits.body_bytes = 50_000;
+    config.limits.points_out = 2000;
+    // Less than what a compressor takes.
+    config.limits.held_bytes = 60_000;
+    let server = Server::start(&Scripted::new(), config);
+    let path = submit(&server, "ratio=4", &encode(&cloud(100), PLY));
+    let job = wait_for(&server, &path, "done");
+    let reply = server.ask("GET", &format!("{path}/result"), "accept-encoding: gzip\r\n", b"");
+    assert_eq!((reply.status, reply.header("content-encoding")), (200, None));
+    assert_eq!(reply.header("etag").expect("a tag").trim_matches('"'), job["result"]["sha256"]);
+    assert_eq!(reply.header("accept-ranges"), Some("bytes"));
+    assert_eq!(reply.body.len() as u64, job["result"]["bytes"].as_u64().expect("a length"));
+}
+
+#[test]
+fn a_name_that_is_no_text_is_one_of_no_job() {
+    let folder = folder();
+    let server = Server::start(&Scripted::new(), config(folder.path()));
+    for (method, rest) in [("GET", ""), ("GET", "/result"), ("GET", "/events"), ("DELETE", "")] {
+        let reply = server.ask(method, &format!("/jobs/%ff{rest}"), "", b"");
+        assert_eq!((reply.status, reply.problem_name().as_str()), (404, "no-such-job"), "{method} {rest}");
+    }
+}
+
+#[test]
+fn watching_asks_the_database_only_when_a_job_has_changed() {
+    let folder = folder();
+    let backend = Scripted::new();
+    let server = Server::start(&backend, config(folder.path()));
+    backend.shut();
+    let path = submit(&server, "ratio=16", &encode(&cloud(500), PLY));
+    wait_until("it is in its units", || json(&server.get(&path))["progress"]["stage"] == "units");
+    let mut client = server.connect();
+    client.send(format!("GET {path}/events HTTP/1.1\r\nhost: x\r\nconnection: close\r\n\r\n").as_bytes());
+    let mut bytes = Vec::new();
+    while !bytes.windows(7).any(|w| w == b"\"units\"") {
+        bytes.extend(client.some());
+    }
+    // What only the database knows, behind the server's back; longer than until it would have looked again.
+    let database = rusqlite::Connection::open(folder.path().join("jobs.sqlite")).expect("a database");
+    std::thread::sleep(Duration::from_millis(500));
+    database.execute("UPDATE jobs SET attempts = 7", []).expect("no lock");
+    std::thread::sleep(Duration::from_secs(1));
+    backend.open();
+    bytes.extend(client.rest());
+    let text = Reply::parse(&bytes).expect("a whole response").text();
+    let progress = text.split("\n\n").filter(|event| event.starts_with("event: progress"));
+    assert!(progress.clone().all(|event| event.contains("\"attempts\":1,")), "{text}");
+    assert!(text.contains("event: done") && text.contains("\"attempts\":7,"), "{text}");
 }

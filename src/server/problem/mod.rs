@@ -214,9 +214,12 @@ pub(super) enum Problem {
         /// What they may take.
         limit: u64,
     },
-    /// Another program has the jobs' database for itself.
-    #[error("another program has locked the jobs' database; nothing was changed, try again")]
-    JobsBusy,
+    /// The jobs' database has no time for this request.
+    #[error("{0}; nothing was changed, try again")]
+    JobsBusy(
+        /// Why.
+        &'static str,
+    ),
     /// The disk is full.
     #[error("the disk is full: {0}; make room there, or give --data-dir a folder elsewhere")]
     DiskFull(String),
@@ -450,7 +453,7 @@ impl Problem {
                 "Jobs take all the disk they may",
                 Some("--job-disk"),
             ),
-            Self::JobsBusy => (S::SERVICE_UNAVAILABLE, "jobs-busy", "The jobs' database is locked", None),
+            Self::JobsBusy(_) => (S::SERVICE_UNAVAILABLE, "jobs-busy", "The jobs' database is busy", None),
             Self::DiskFull(_) => {
                 (S::INSUFFICIENT_STORAGE, "disk-full", "The disk is full", Some("--data-dir"))
             }
@@ -492,7 +495,7 @@ impl Problem {
         match self {
             Self::Refused(refusal) => refusal.retry_after(),
             Self::JobsFull { retry_after, .. } | Self::ClientJobs { retry_after, .. } => Some(*retry_after),
-            Self::WarmingUp | Self::Draining | Self::HeldFull { .. } | Self::JobsBusy => Some(SOON),
+            Self::WarmingUp | Self::Draining | Self::HeldFull { .. } | Self::JobsBusy(_) => Some(SOON),
             _ => None,
         }
     }

@@ -59,7 +59,7 @@ pub(in crate::server) fn every_problem() -> Vec<(Problem, u16, &'static str)> {
         (Problem::KeyReused, 422, "idempotency-key-reused"),
         (Problem::Range { length: 5 }, 416, "range-not-satisfiable"),
         (Problem::JobDisk { used: 5, wanted: 1, limit: 5 }, 507, "job-disk-full"),
-        (Problem::JobsBusy, 503, "jobs-busy"),
+        (Problem::JobsBusy("x"), 503, "jobs-busy"),
         (Problem::DiskFull("x".into()), 507, "disk-full"),
         (Problem::GaveUp { attempts: 3 }, 500, "job-gave-up"),
         (Problem::Internal("secret".into()), 500, "internal"),
