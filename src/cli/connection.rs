@@ -1,6 +1,6 @@
 //! Connections to a server elsewhere: by way of a proxy or not, and with an ear for what the server says while
 //! it is still being sent a request. The second is by ureq's `unversioned` parts, which may change with its minor
-//! versions; `Cargo.lock` holds the one that this was written for.
+//! versions; `Cargo.toml` stays at the one that this was written for.
 
 use std::net::IpAddr;
 use std::sync::Arc;

@@ -22,15 +22,8 @@ struct State {
 }
 
 /// A turn, until dropped.
-#[derive(Debug)]
 #[must_use = "dropping a turn gives it to the next"]
 pub(super) struct Turn(Option<Arc<Parsing>>);
-
-impl std::fmt::Debug for Parsing {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Parsing").finish_non_exhaustive()
-    }
-}
 
 impl Parsing {
     pub(super) fn new() -> Self {
