@@ -15,7 +15,9 @@ use super::balance::{SURPLUS, balanced};
 use super::strays::Measured;
 use super::{CascadeError, Observer};
 use crate::cloud::Point;
-use crate::geometry::{KdTree, Neighbour, Rng, Walk, farthest_point_sampling, normal, project_to_surface};
+use crate::geometry::{
+    KdTree, Neighbour, Rng, Walk, cell_area, farthest_point_sampling, normal, project_to_surface,
+};
 
 /// Neighbours that a point shares midpoints with: the ring around it, and some.
 const NEIGHBOURS: usize = 7;
@@ -26,6 +28,11 @@ const SHORT: f32 = 0.5;
 const AROUND: usize = 16;
 /// Neighbours that a normal is estimated from, the point itself among them.
 const NORMAL_NEIGHBOURS: usize = 12;
+/// How far beyond the points that the units made the surface is taken to reach, in the input's spacing, where there are
+/// as many of them as of input points; the denser they are, the less.
+const REACH: f32 = 0.9;
+/// What the units made lies in one sheet where it is no further from its tangent plane than this, in the input's spacing.
+const FLAT: f32 = 0.2;
 /// A midpoint is of one surface if the edge lies within 45 degrees of both tangent planes: this is
 /// the sine. Others bridge sheets or cut corners.
 const STEEPEST: f32 = 0.7;
@@ -56,19 +63,20 @@ pub(super) fn polish(
     // From here on neighbours in space are neighbours in memory.
     let (tree, made) = KdTree::in_order(made);
     let anchors = Anchors::new(input, &made, &tree);
-    let candidates = if made.len() > full + full / 10 {
+    let Candidates { points: candidates, areas } = if made.len() > full + full / 10 {
         let first = random.below(made.len() as u64) as usize;
         let mut kept = farthest_point_sampling(&made, full, first);
         kept.par_sort_unstable();
         let sample: Vec<Point> = kept.iter().map(|&i| made[i as usize]).collect();
-        candidates(&KdTree::new(&sample), &sample, size, input, anchors.trust)
+        Candidates::of(&KdTree::new(&sample), &sample, size, input, anchors.trust)
     } else {
-        candidates(&tree, &made, size, input, anchors.trust)
+        Candidates::of(&tree, &made, size, input, anchors.trust)
     };
     go_on()?;
     let first = random.below(candidates.len() as u64) as usize;
     let count = ((SURPLUS * size as f64) as usize).min(candidates.len());
-    let order = balanced(&candidates, &farthest_point_sampling(&candidates, count, first), size, input);
+    let sampled = farthest_point_sampling(&candidates, count, first);
+    let order = balanced(&candidates, &sampled, size, input, &areas, anchors.trust);
 
     let mut chosen = order.clone();
     chosen.par_sort_unstable();
@@ -84,18 +92,36 @@ pub(super) fn polish(
     Ok(order.par_iter().map(|&i| dense[place_of[i as usize] as usize]).collect())
 }
 
-/// What the result is chosen from: midpoints of the sample, and the input points that they fall short of,
-/// which are the more, the more the input is to be trusted. `tree` must be built from `sample`.
-fn candidates(tree: &KdTree, sample: &[Point], size: usize, input: &Measured, trust: f32) -> Vec<Point> {
-    let rings = rings(tree, sample);
-    let mut candidates = midpoints(sample, &rings);
-    let too_few = candidates.len() < size;
-    if too_few {
-        candidates.extend_from_slice(sample);
+/// What the result is chosen from.
+struct Candidates {
+    /// Midpoints of the sample, and the input points that they fall short of, which are the more, the more the input
+    /// is to be trusted.
+    points: Vec<Point>,
+    /// For each input point, the area of the surface that is nearest to it.
+    areas: Vec<f32>,
+}
+
+impl Candidates {
+    /// `tree` must be built from `sample`.
+    fn of(tree: &KdTree, sample: &[Point], size: usize, input: &Measured, trust: f32) -> Self {
+        let reach = REACH * (input.points.len() as f32 / sample.len() as f32).sqrt();
+        let cell = |i: usize, near: &[Neighbour], normal| {
+            let nearest = input.tree.nearest_one(sample[i]).map_or(0, |n| n.index);
+            let spacing = input.spacing[nearest as usize];
+            (nearest, cell_area(sample, i, near, normal, reach * spacing, FLAT * spacing))
+        };
+        let (rings, cells) = surroundings(tree, sample, cell);
+        let mut areas = vec![0.0; input.points.len()];
+        cells.iter().for_each(|&(nearest, area)| areas[nearest as usize] += area);
+        let mut points = midpoints(sample, &rings);
+        let too_few = points.len() < size;
+        if too_few {
+            points.extend_from_slice(sample);
+        }
+        let short = SHORT * (1.0 - trust);
+        points.extend(fallen_short_of(tree, sample, &rings, too_few, input, short));
+        Self { points, areas }
     }
-    let short = SHORT * (1.0 - trust);
-    candidates.extend(fallen_short_of(tree, sample, &rings, too_few, input, short));
-    candidates
 }
 
 /// The nearest others of a point that lie on the same surface.
@@ -113,18 +139,29 @@ impl Ring {
 
 /// The ring of each of `points`, of which `tree` is built; best when they lie in the order of a tree.
 fn rings(tree: &KdTree, points: &[Point]) -> Vec<Ring> {
-    let around = |walk: &mut Walk, i: usize| {
+    surroundings(tree, points, |_, _, _| ()).0
+}
+
+/// The rings, and whatever is wanted of each point's nearest (itself among them) and normal.
+fn surroundings<T: Clone + Default + Send>(
+    tree: &KdTree,
+    points: &[Point],
+    of: impl Fn(usize, &[Neighbour], [f32; 3]) -> T + Sync,
+) -> (Vec<Ring>, Vec<T>) {
+    let mut rings = vec![Ring::default(); points.len()];
+    let mut normals = vec![[0.0; 3]; points.len()];
+    let mut wanted = vec![T::default(); points.len()];
+    let all = rings.par_iter_mut().zip(&mut normals).zip(&mut wanted).enumerate();
+    all.for_each_init(Walk::default, |walk, (i, ((ring, normal_of), wanted))| {
         tree.nearest_next(points[i], NORMAL_NEIGHBOURS, walk);
         let found = &walk.found;
-        let mut ring = Ring::default();
         for n in found.iter().filter(|n| n.index as usize != i).take(NEIGHBOURS) {
             ring.others[usize::from(ring.count)] = n.index;
             ring.count += 1;
         }
-        (ring, normal(points, found))
-    };
-    let (mut rings, normals): (Vec<Ring>, Vec<[f32; 3]>) =
-        (0..points.len()).into_par_iter().map_init(Walk::default, around).unzip();
+        *normal_of = normal(points, found);
+        *wanted = of(i, found, *normal_of);
+    });
     rings.par_iter_mut().enumerate().for_each(|(i, ring)| {
         let all = *ring;
         ring.count = 0;
@@ -138,7 +175,7 @@ fn rings(tree: &KdTree, points: &[Point]) -> Vec<Ring> {
             }
         }
     });
-    rings
+    (rings, wanted)
 }
 
 /// Pushes points apart that are nearer to each other than is usual around them: what farthest
@@ -292,6 +329,26 @@ mod tests {
         let middles = all_midpoints(&points);
         let between = middles.iter().filter(|p| (0.01..0.025).contains(&p[2])).count();
         assert!(between * 40 < middles.len(), "{between} of {} between the sheets", middles.len());
+    }
+
+    #[test]
+    fn input_points_share_the_area_of_the_surface() {
+        // A square of area 1, half as dense on its right half; of the input points a grid.
+        let points: Vec<Point> = square(6000, 0.5, 1)
+            .into_iter()
+            .enumerate()
+            .filter(|(i, p)| p[0] < 0.5 || i % 2 == 0)
+            .map(|(_, p)| p)
+            .collect();
+        let (tree, made) = KdTree::in_order(&points);
+        let grid: Vec<Point> =
+            (0..400).map(|i| [(i % 20) as f32 / 20.0 + 0.025, (i / 20) as f32 / 20.0 + 0.025, 0.5]).collect();
+        let input = Measured::new(&grid, vec![0.06; 400]);
+        let areas = Candidates::of(&tree, &made, made.len(), &input, 1.0).areas;
+        let whole: f32 = areas.iter().sum();
+        assert!((0.93..1.1).contains(&whole), "{whole}");
+        let right: f32 = grid.iter().zip(&areas).filter(|(p, _)| p[0] > 0.5).map(|(_, area)| area).sum();
+        assert!((right / whole - 0.5).abs() < 0.03, "{right} of {whole} on the right");
     }
 
     #[test]

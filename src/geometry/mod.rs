@@ -14,6 +14,7 @@
 //! of threads; ties are broken by the lowest index. Coordinates must be finite: who reads them
 //! from outside drops or refuses the others first.
 
+mod cells;
 mod farthest;
 mod kdtree;
 mod mesh;
@@ -26,6 +27,7 @@ mod shapes;
 mod surface_distance;
 mod uniform;
 
+pub(crate) use cells::cell_area;
 pub use farthest::farthest_point_sampling;
 pub use kdtree::{KdTree, Neighbour, Walk};
 pub use mesh::{Mesh, MeshError};
