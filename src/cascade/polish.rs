@@ -3,7 +3,7 @@
 //! Farthest point sampling can only be as even as its candidates allow, and it prefers the
 //! candidates that stand off the surface. So the last level's sample is only the start: the
 //! midpoints of its neighbours, which average two errors and lie in its gaps, are sampled again
-//! (with an eye to the input's density), points that are too near push each other apart, and each
+//! (each region by the area of its surface), points that are too near push each other apart, and each
 //! is projected onto the moving least squares surface of all that the unit made, and drawn to the
 //! input where that is clean. Coarser levels go without: there a chord cuts a curve that the next
 //! unit would follow.

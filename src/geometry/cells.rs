@@ -19,8 +19,9 @@ const SIN: f32 = 0.382_683_43;
 /// `near` are its nearest, the point itself among them, and bound the cell; `normal` is a unit vector. Those that lie no
 /// further than `flat` from the tangent plane are taken to lie in it: a rough sheet has no more area than a smooth one.
 /// Others bound the cell where they are as near as the point itself. The boundary is measured in 16 directions: exact on
-/// average, O(`near`). Points in one place share one cell. All cells of a cloud together are the area of the surface that
-/// lies within `radius` of its points, hence half of that too much along a border.
+/// average over the turns of a cell (a square comes out 5 % too large or too small), O(`near`). Points in one place share
+/// one cell. All cells of a cloud together are the area of the surface and of what lies within `radius` of its points
+/// past its borders.
 pub(crate) fn cell_area(
     points: &[Point],
     i: usize,
@@ -157,12 +158,12 @@ mod tests {
     }
 
     #[test]
-    fn points_in_one_place_share_a_cell_and_a_border_adds_half_the_radius() {
+    fn points_in_one_place_share_a_cell_and_a_border_adds_the_radius() {
         let square: Vec<Point> = (0..441).map(|i| [(i % 21) as f32, (i / 21) as f32, 0.0]).collect();
         let twice: Vec<Point> = square.iter().chain(&square).copied().collect();
         let (once, both): (f32, f32) = (areas(&square, 1.0).iter().sum(), areas(&twice, 1.0).iter().sum());
         // 20 by 20, and a rim as wide as the radius but for the cells' round ends; cells of squares are 5 % too large.
-        assert!((440.0..508.0).contains(&once), "{once}");
+        assert!((470.0..508.0).contains(&once), "{once}");
         assert!((both / once - 1.0).abs() < 0.1, "{both} and {once}");
     }
 }
