@@ -217,3 +217,12 @@ fn a_damaged_model_is_named_before_a_port_is_bound() {
         assert!(!said.contains("panicked"), "{what}: {said}");
     }
 }
+
+#[test]
+fn all_of_the_program_has_one_allocator() {
+    let serving = Serving::start(&[]);
+    // It has loaded and run ONNX Runtime by now. The system's allocator would have made its heap.
+    let maps = std::fs::read_to_string(format!("/proc/{}/maps", serving.id())).expect("it runs");
+    assert!(maps.contains("libonnxruntime"), "{maps}");
+    assert!(!maps.contains("[heap]"), "{maps}");
+}
