@@ -15,6 +15,7 @@ mod remote;
 mod render;
 mod sample;
 mod serve;
+mod serve_args;
 mod settings;
 mod upsample;
 mod upsample_remote;
@@ -46,7 +47,7 @@ struct Arguments {
 enum Command {
     Upsample(upsample::UpsampleArgs),
     Inspect(inspect::InspectArgs),
-    Serve(serve::ServeArgs),
+    Serve(serve_args::ServeArgs),
     Job(job::JobArgs),
     Evaluate(evaluate::EvaluateArgs),
     Sample(sample::SampleArgs),
