@@ -14,6 +14,12 @@ use crate::backend::{BackendError, Batch, SKIP_NEIGHBOURS, SkipInput, Worker, Wo
 use crate::cloud::Point;
 use crate::geometry::{KdTree, Rng, Walk, farthest_point_sampling};
 
+/// The share of a level's size that is enough where a polish follows, which chooses among midpoints: rather than take the
+/// worst strays for the rest, the level goes without.
+const ENOUGH: f64 = 0.75;
+/// What the last level then has at least: the size asked of it may exceed twice the size of the one before it by a quarter.
+const FEWEST: f64 = 0.5;
+
 /// One level about to run.
 pub(super) struct Level {
     /// From 0.
@@ -83,8 +89,10 @@ impl Level {
         let measured = measured.unwrap_or_else(|| Measured::new(&points, spacing));
         let limits = (settings.max_displacement as f32, settings.max_distance as f32);
         let doubled = 2 * points.len();
-        let merged = without_strays(merged, doubled.max(size), limits.0, limits.1, &measured);
-        if merged.len() < size {
+        let share = |polished: f64| if settings.polish { (polished * size as f64) as usize } else { size };
+        let wanted = if settings.polish { doubled } else { doubled.max(size) };
+        let merged = without_strays(merged, wanted, share(ENOUGH), limits.0, limits.1, &measured);
+        if merged.len() < share(FEWEST) {
             let why = "it made points that are not finite; the model is unusable".into();
             return Err(BackendError::Run { unit: unit + 1, why }.into());
         }
@@ -98,7 +106,7 @@ impl Level {
             polish(&merged, doubled.max(size), size, &measured, &mut random, observer)?
         } else {
             let first = random.below(merged.len() as u64) as usize;
-            let mut kept = farthest_point_sampling(&merged, size, first);
+            let mut kept = farthest_point_sampling(&merged, size.min(merged.len()), first);
             if !last {
                 // The order means nothing to the next level, and patch by patch neighbours are near in memory.
                 kept.sort_unstable();

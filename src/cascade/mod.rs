@@ -12,6 +12,8 @@
 //!   [`Upsampled::dropped_non_finite`], and a ratio counts the finite points alone.
 //! - Points that coincide in local `f32` are one point to the network, but each counts towards the
 //!   target: the result has the size that the header promised.
+//! - Points that lie apart from all surface (outliers, groups of up to four) are kept as they are, and nothing is made
+//!   of them: see [`apart`]. They count towards the target.
 //! - Too few distinct points for the unit, or all of them equal, is a [`CascadeError`].
 //!
 //! # Determinism
@@ -20,6 +22,7 @@
 //! the number of threads. Every patch is computed on its own and written to its own place.
 
 mod anchors;
+mod apart;
 mod balance;
 mod input;
 mod level;
@@ -34,6 +37,7 @@ pub use plan::{MAX_RATIO, Target};
 
 use crate::backend::{BackendError, Lane, Workers};
 use crate::cloud::{FrameError, Position};
+use apart::{Parted, joined};
 use input::Input;
 pub(crate) use input::distinct;
 use level::{Done, Level};
@@ -50,7 +54,7 @@ pub struct Settings {
     /// prefer the strays it makes there.
     pub inner: f64,
     /// How far a point may be moved from the one that it was made of, in multiples of that one's
-    /// mean distance to its 8 nearest; what moved further is a stray and left out. Positive;
+    /// spacing, the mean distance to its 8 nearest; what moved further is a stray and left out. Positive;
     /// infinity keeps everything.
     pub max_displacement: f64,
     /// How far a point may lie from the nearest input point, in multiples of the distance that nine
@@ -82,6 +86,8 @@ pub struct Upsampled {
     pub dropped_non_finite: usize,
     /// Points that coincided with an earlier one.
     pub duplicates: usize,
+    /// Points that lie apart from all others, kept as they are.
+    pub apart: usize,
 }
 
 /// Why a cloud cannot be upsampled.
@@ -182,10 +188,12 @@ pub fn upsample(
     let shape = workers.shape();
     let input = Input::prepare(positions)?;
     let plan = Plan::new(target, input.finite, input.points.len(), input.duplicates(), shape)?;
-    observer.plan(&plan.sizes);
     let lane = Lane::of(plan.sizes.last().map_or(0, |&size| size as u64));
-    let dense = workers.install(lane, || {
-        let mut done = Done { points: input.points, previous: None, measured: None };
+    let (dense, apart) = workers.install(lane, || {
+        let Parted { together, apart } = Parted::of(input.points, shape.neighbours + 1);
+        let plan = plan.without(apart.len(), together.len(), settings.polish);
+        observer.plan(&plan.sizes);
+        let mut done = Done { points: together, previous: None, measured: None };
         for (number, &size) in plan.sizes.iter().enumerate() {
             let level = Level {
                 number,
@@ -197,12 +205,13 @@ pub fn upsample(
             };
             done = level.run(size, settings, workers, observer)?;
         }
-        Ok::<_, CascadeError>(done.points)
+        Ok::<_, CascadeError>((joined(done.points, &apart), apart.len()))
     })?;
     Ok(Upsampled {
         positions: dense.iter().map(|p| input.frame.to_world(*p)).collect(),
         dropped_non_finite: positions.len() - input.finite,
         duplicates: input.finite - input.distinct,
+        apart,
     })
 }
 

@@ -36,6 +36,9 @@ impl Target {
     }
 }
 
+/// A polished level gives up to so many times twice its input.
+const SPARE: f64 = 1.25;
+
 /// The sizes after each level: doubling, and the target last.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) struct Plan {
@@ -66,6 +69,23 @@ impl Plan {
             sizes.push(size.min(wanted));
         }
         Ok(Self { sizes })
+    }
+
+    /// The same when `apart` points are kept as they are and `together` are worked on. A last level that is `polished`
+    /// can choose among more than twice its input, so a few points that are apart do not cost a level.
+    pub(super) fn without(self, apart: usize, together: usize, polished: bool) -> Self {
+        let Some(&wanted) = self.sizes.last().filter(|_| apart > 0) else { return self };
+        let wanted = wanted - apart;
+        let mut sizes: Vec<usize> = Vec::new();
+        let mut size = together;
+        let spare = if polished { SPARE } else { 1.0 };
+        while sizes.len() < self.sizes.len() || spare * (size as f64) < wanted as f64 {
+            size *= 2;
+            sizes.push(size.min(wanted));
+        }
+        sizes.pop();
+        sizes.push(wanted);
+        Self { sizes }
     }
 }
 
@@ -98,6 +118,20 @@ mod tests {
     #[test]
     fn duplicates_count_towards_the_target() {
         assert_eq!(sizes(Target::Ratio(2.0), 1000, 400), [800, 1600, 2000]);
+    }
+
+    #[test]
+    fn points_apart_take_none_of_the_levels_and_cost_none() {
+        let of = |ratio, apart, polished| {
+            let plan = Plan::new(Target::Ratio(ratio), 1000, 1000, 0, SHAPE).unwrap();
+            plan.without(apart, 1000 - apart, polished).sizes
+        };
+        assert_eq!(of(4.0, 0, true), [2000, 4000]);
+        assert_eq!(of(4.0, 10, true), [1980, 3990]);
+        assert_eq!(of(4.0, 10, false), [1980, 3960, 3990]);
+        assert_eq!(of(4.0, 400, true), [1200, 2400, 3600]);
+        assert_eq!(of(1.0, 10, true), [990]);
+        assert_eq!(of(3.0, 10, true), [1980, 2990]);
     }
 
     #[test]

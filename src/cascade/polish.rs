@@ -120,6 +120,10 @@ impl Candidates {
         }
         let short = SHORT * (1.0 - trust);
         points.extend(fallen_short_of(tree, sample, &rings, too_few, input, short));
+        if points.len() < size {
+            // All is rough: whatever lies between neighbours, which is at least 3.5 times the sample.
+            points.extend(midpoints(sample, &nearest_rings(tree, sample)));
+        }
         Self { points, areas }
     }
 }
@@ -132,6 +136,16 @@ struct Ring {
 }
 
 impl Ring {
+    /// The nearest to point `i` among those `found`, nearest first, whatever surface they lie on.
+    fn of(i: usize, found: &[Neighbour]) -> Self {
+        let mut ring = Self::default();
+        for n in found.iter().filter(|n| n.index as usize != i).take(NEIGHBOURS) {
+            ring.others[usize::from(ring.count)] = n.index;
+            ring.count += 1;
+        }
+        ring
+    }
+
     fn others(&self) -> &[u32] {
         &self.others[..usize::from(self.count)]
     }
@@ -140,6 +154,15 @@ impl Ring {
 /// The ring of each of `points`, of which `tree` is built; best when they lie in the order of a tree.
 fn rings(tree: &KdTree, points: &[Point]) -> Vec<Ring> {
     surroundings(tree, points, |_, _, _| ()).0
+}
+
+/// The nearest others of each of `points`, of which `tree` is built, on whatever surface they lie.
+fn nearest_rings(tree: &KdTree, points: &[Point]) -> Vec<Ring> {
+    let ring = |found: &mut Vec<Neighbour>, (i, p): (usize, &Point)| {
+        tree.nearest(*p, NEIGHBOURS + 1, found);
+        Ring::of(i, found)
+    };
+    points.par_iter().enumerate().map_init(Vec::new, ring).collect()
 }
 
 /// The rings, and whatever is wanted of each point's nearest (itself among them) and normal.
@@ -155,10 +178,7 @@ fn surroundings<T: Clone + Default + Send>(
     all.for_each_init(Walk::default, |walk, (i, ((ring, normal_of), wanted))| {
         tree.nearest_next(points[i], NORMAL_NEIGHBOURS, walk);
         let found = &walk.found;
-        for n in found.iter().filter(|n| n.index as usize != i).take(NEIGHBOURS) {
-            ring.others[usize::from(ring.count)] = n.index;
-            ring.count += 1;
-        }
+        *ring = Ring::of(i, found);
         *normal_of = normal(points, found);
         *wanted = of(i, found, *normal_of);
     });
@@ -314,6 +334,20 @@ mod tests {
         let input = Measured::new(&measured, vec![0.05; 501]);
         let dense = polish(&made, 2000, 2000, &input, &mut Rng::new(5), &Silent).unwrap();
         assert!(dense.iter().any(|p| p[1] > 1.04), "nothing near the tip");
+    }
+
+    #[test]
+    fn what_lies_on_no_surface_gives_the_size_too() {
+        for n in [20_u64, 60, 300] {
+            let mut random = Rng::new(n);
+            let made: Vec<Point> = (0..n).map(|_| std::array::from_fn(|_| random.f64() as f32)).collect();
+            let input = Measured::new(&made, vec![0.1; made.len()]);
+            // At most twice as many are asked for; with edges at any angle to any normal.
+            for size in [2 * made.len(), 3 * made.len()] {
+                let dense = polish(&made, size, size, &input, &mut Rng::new(5), &Silent).unwrap();
+                assert_eq!(dense.len(), size);
+            }
+        }
     }
 
     #[test]

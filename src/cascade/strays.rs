@@ -28,6 +28,8 @@ pub(super) struct Measured {
 
 /// The share of a level's points that is taken to lie where it should.
 const SOUND: f64 = 0.9;
+/// What strays by so many times a limit is no near miss.
+const WORSE: f32 = 1.5;
 /// Others around each input point: no point must lie beyond all of them.
 const AROUND: usize = 8;
 /// How far beyond them it may lie, in the nearest one's spacing and as a share of the distance limit. The surface
@@ -105,11 +107,12 @@ impl Measured {
 /// border nothing has been measured, and a unit puts points up to a whole spacing there, so a point
 /// with the input on one side only must stay within [`BEYOND`] of that limit.
 ///
-/// Where that leaves fewer than `size`, the least strayed of the others make up for it; only points
-/// that are not finite are never taken.
+/// Where that leaves fewer than `size`, the least strayed of the others make up for it: those [`WORSE`] times
+/// past a limit only where there were fewer than `least` without them, and never points that are not finite.
 pub(super) fn without_strays(
     made: Vec<Made>,
     size: usize,
+    least: usize,
     max_displacement: f32,
     max_distance: f32,
     input: &Measured,
@@ -136,10 +139,11 @@ pub(super) fn without_strays(
     if strayed.iter().filter(|s| **s <= most).count() < size {
         // NaN comes last, and is below no limit.
         let mut sorted = strayed.clone();
-        most = match sorted.get(size - 1) {
+        let mut nth = |size: usize| match sorted.get(size - 1) {
             Some(_) => sorted.select_nth_unstable_by(size - 1, f32::total_cmp).1.min(f32::INFINITY),
             None => f32::INFINITY,
         };
+        most = nth(size).min(nth(least).max(WORSE));
     }
     made.iter().zip(&strayed).filter(|(_, s)| **s <= most).map(|(m, _)| m.at).collect()
 }
@@ -161,7 +165,7 @@ mod tests {
             .map(|displacement| Made { at: [displacement, 0.0, 0.0], displacement })
             .collect();
         let kept = |size, limit| -> Vec<f32> {
-            let left = without_strays(made.clone(), size, limit, f32::INFINITY, &input());
+            let left = without_strays(made.clone(), size, size, limit, f32::INFINITY, &input());
             left.iter().map(|p| p[0]).collect()
         };
         assert_eq!(kept(2, 0.8), [0.3, 0.1, 0.5]);
@@ -172,15 +176,30 @@ mod tests {
     }
 
     #[test]
+    fn the_worst_strays_make_up_only_for_what_is_needed() {
+        let made: Vec<Made> = [0.1, 0.2, 0.9, 1.1, 1.3, 2.0, 7.0]
+            .into_iter()
+            .map(|displacement| Made { at: [displacement, 0.0, 0.0], displacement })
+            .collect();
+        let kept = |size, least| {
+            let left = without_strays(made.clone(), size, least, 0.8, f32::INFINITY, &input());
+            left.len()
+        };
+        // Up to 1.2, half as much again as the limit, whatever is wanted.
+        assert_eq!((kept(2, 1), kept(3, 1), kept(4, 1), kept(6, 1), kept(6, 4)), (2, 3, 4, 4, 4));
+        assert_eq!((kept(6, 5), kept(6, 6), kept(7, 6)), (5, 6, 6));
+    }
+
+    #[test]
     fn a_stray_is_far_from_the_input_whatever_it_was_made_of() {
         // Ninety points within 0.4 of the line, and one that a stray made beside itself.
         let mut made: Vec<Made> =
             (0..90).map(|i| Made { at: [0.1 * i as f32, 0.4, 0.0], displacement: 0.1 }).collect();
         made.push(Made { at: [4.0, 1.4, 0.0], displacement: 0.1 });
-        let left = without_strays(made.clone(), 10, 0.8, 1.5, &input());
+        let left = without_strays(made.clone(), 10, 10, 0.8, 1.5, &input());
         assert_eq!(left.len(), 90);
         assert!(left.iter().all(|p| p[1] < 1.0));
-        assert_eq!(without_strays(made, 10, 0.8, f32::INFINITY, &input()).len(), 91);
+        assert_eq!(without_strays(made, 10, 10, 0.8, f32::INFINITY, &input()).len(), 91);
     }
 
     #[test]
@@ -194,7 +213,7 @@ mod tests {
         let past = |by: f32| Made { at: [9.0 + by, 4.0, 0.0], displacement: 0.7 };
         made.extend([past(0.15), past(0.3), past(0.6)]);
         let farthest = |max_distance| {
-            let left = without_strays(made.clone(), 10, 0.8, max_distance, &input);
+            let left = without_strays(made.clone(), 10, 10, 0.8, max_distance, &input);
             assert!(left.len() >= 82);
             left.iter().map(|p| p[0]).fold(0.0, f32::max) - 9.0
         };
@@ -205,6 +224,6 @@ mod tests {
     #[test]
     fn points_that_lie_on_the_input_are_kept() {
         let made: Vec<Made> = (0..10).map(|i| Made { at: [i as f32, 0.0, 0.0], displacement: 0.0 }).collect();
-        assert_eq!(without_strays(made, 10, 0.8, 1.5, &input()).len(), 10);
+        assert_eq!(without_strays(made, 10, 10, 0.8, 1.5, &input()).len(), 10);
     }
 }

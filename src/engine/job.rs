@@ -40,6 +40,8 @@ pub struct Outcome {
     pub dropped_non_finite: usize,
     /// Points that coincided with an earlier one.
     pub duplicates: usize,
+    /// Points that lie apart from all others, kept as they are.
+    pub apart: usize,
     /// How long each stage took, over all levels.
     pub stages: StageTimes,
     /// How long the engine took it to need when it was admitted, alone on the machine.
@@ -60,6 +62,12 @@ impl Outcome {
             warnings.push(format!(
                 "{} points coincide with another; they count towards the size alone",
                 self.duplicates
+            ));
+        }
+        if self.apart > 0 {
+            warnings.push(format!(
+                "{} points lie apart from all others (outliers?); they are kept as they are, and nothing is made of them",
+                self.apart
             ));
         }
         warnings
@@ -235,6 +243,7 @@ fn run(queue: &Queue, workers: &Workers, task: &Task, work: Work, turn: Turn<'_>
                 attributes,
                 dropped_non_finite: dense.dropped_non_finite,
                 duplicates: dense.duplicates,
+                apart: dense.apart,
                 stages: task.watch.finish(),
                 estimate: permit.estimate(),
                 took,

@@ -168,7 +168,8 @@ impl Survey {
         }
         if self.isolated > 0.02 {
             warnings.push(format!(
-                "{} of the points stand alone (outliers?); new points appear about them, too",
+                "{} of the points stand alone (outliers?); filter first: those far off are kept as they are, but new \
+                 points appear about others",
                 percent(self.isolated)
             ));
         }

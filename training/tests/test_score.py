@@ -144,6 +144,19 @@ def test_removal_is_exact_nested_and_repeatable():
             inputs.remove(points, share, 0)
 
 
+def test_outliers_are_nested_repeatable_and_about_the_cloud():
+    points = np.random.default_rng(0).uniform(1.0, 2.0, (1000, 3))
+    less, more = inputs.strew(points, 0.01, 7), inputs.strew(points, 0.05, 7)
+    moved, further = (np.flatnonzero((cloud != points).any(1)) for cloud in (less, more))
+    assert (len(moved), len(further)) == (10, 50)
+    assert set(moved) < set(further) and np.array_equal(less[moved], more[moved])
+    assert np.array_equal(less, inputs.strew(points, 0.01, 7))
+    all_moved = inputs.strew(points, 1.0, 7)
+    assert 0.85 < all_moved.min() < 1.0 and 2.0 < all_moved.max() < 2.15
+    with pytest.raises(ValueError, match="share"):
+        inputs.strew(points, 1.5, 0)
+
+
 def test_the_ratio_gives_the_same_count_from_whatever_is_left():
     for share in stress.REMOVED:
         left = inputs.remaining(stress.POINTS, share)
@@ -153,7 +166,7 @@ def test_the_ratio_gives_the_same_count_from_whatever_is_left():
 
 def test_stress_has_a_table_a_json_without_infinities_and_a_picture(tmp_path):
     steps = [stress.Step(sweep, s, evaluation((0.0006, 0.005, 0.2))) for sweep in stress.AXES for s in (0.0, 0.1)]
-    assert stress.text(steps).count("\n| 10 |") == 2
+    assert stress.text(steps).count("\n| 10 |") == len(stress.AXES)
     entry = stress.as_json(steps)[0]
     assert entry["means"]["repeat"]["spacing_variation"] is None
     assert entry["shapes"]["cow"]["prediction"]["cd"] == 0.0006

@@ -50,6 +50,20 @@ class Inputs:
                 write_points(file, kept)
         return folder
 
+    def with_outliers(self, points: int, share: float) -> Path:
+        """A folder with even samples, a random share of whose points is anywhere in the bounding box, made a fifth
+        larger, instead."""
+        whole = self.sampled(points)
+        if share == 0:
+            return whole
+        folder = self.out / "inputs" / f"{whole.name}-outliers-{share:g}"
+        folder.mkdir(parents=True, exist_ok=True)
+        for number, shape in enumerate(self.shapes):
+            source, file = whole / f"{shape}.ply", folder / f"{shape}.xyz"
+            if not (file.exists() and file.stat().st_mtime_ns >= source.stat().st_mtime_ns):
+                write_points(file, strew(read_points(source), share, number))
+        return folder
+
 
 def kind(points: int, method: str, noise: float, seed: int) -> str:
     """The name of a folder of samples."""
@@ -77,6 +91,19 @@ def remove(points: np.ndarray, share: float, seed: int) -> np.ndarray:
         raise ValueError(f"the share to remove must be at least 0 and below 1, not {share}")
     order = np.random.default_rng(seed).permutation(len(points))
     return points[np.sort(order[: remaining(len(points), share)])]
+
+
+def strew(points: np.ndarray, share: float, seed: int) -> np.ndarray:
+    """[n,3] with a random share of its rows anywhere in the bounding box, made a fifth larger about its middle. With the
+    same seed, those of a smaller share are among those of a larger one, in the same places."""
+    if not 0 <= share <= 1:
+        raise ValueError(f"the share of outliers must be from 0 to 1, not {share}")
+    random = np.random.default_rng(seed)
+    low, high = points.min(0), points.max(0)
+    chosen = random.permutation(len(points))[: round(share * len(points))]
+    moved = points.copy()
+    moved[chosen] = (low + high) / 2 + 0.6 * (high - low) * random.uniform(-1, 1, (len(points), 3))[: len(chosen)]
+    return moved
 
 
 def write_points(file: Path, points: np.ndarray) -> None:

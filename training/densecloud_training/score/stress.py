@@ -1,4 +1,4 @@
-"""Curves of the corrected metrics over noise, and over points removed from the input."""
+"""Curves of the corrected metrics over noise, points removed from the input, and outliers in it."""
 
 import math
 from dataclasses import dataclass
@@ -13,6 +13,7 @@ POINTS = 2048
 POINTS_OUT = 8192
 NOISE = (0.0, 0.0025, 0.005, 0.01, 0.015, 0.02)
 REMOVED = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5)
+OUTLIERS = (0.0, 0.001, 0.005, 0.01, 0.02, 0.05)
 
 # Metric: label with unit, factor.
 PANELS = {
@@ -24,6 +25,7 @@ PANELS = {
 AXES = {
     "noise": "noise, % of half the bounding box's diagonal",
     "removed": "input points removed, %",
+    "outliers": "outliers among the input points, %",
 }
 STYLES = {
     "prediction": {"color": "C0", "marker": "o", "linewidth": 2, "label": "densecloud"},
@@ -47,7 +49,7 @@ class Step:
 
 
 def evaluate(inputs: Inputs) -> List[Step]:
-    """Scores every step of both sweeps. All clouds have the same size, so every score has the same floor."""
+    """Scores every step of all sweeps. All clouds have the same size, so every score has the same floor."""
     wanted = inputs.references(POINTS_OUT)
 
     def scored(given: Path, points: int) -> Report:
@@ -57,6 +59,7 @@ def evaluate(inputs: Inputs) -> List[Step]:
     steps = [Step("noise", share, scored(inputs.sampled(POINTS, noise=share), POINTS)) for share in NOISE]
     for share in REMOVED:
         steps.append(Step("removed", share, scored(inputs.with_removed(POINTS, share), remaining(POINTS, share))))
+    steps += [Step("outliers", share, scored(inputs.with_outliers(POINTS, share), POINTS)) for share in OUTLIERS]
     return steps
 
 
@@ -78,13 +81,14 @@ def as_json(steps: List[Step]) -> List[Dict[str, Any]]:
 
 
 def text(steps: List[Step]) -> str:
-    """Two tables in Markdown."""
+    """A table for each sweep, in Markdown."""
     shapes = len(steps[0].report.rows)
     parts = [
         f"Mean of {shapes} held-out shapes, {POINTS:,} Poisson-disk points in, {POINTS_OUT:,} out. Chamfer (squared) / "
         "95th percentile of distances / two-sided distance to the surface, x 1e-3 in radii of the reference; then the "
         "variation of the spacing (a dash: every point has a duplicate). Noise is Gaussian, by its deviation. Points "
-        "are removed at random; the ratio grows from 4 to 8 to give as many points.\n"
+        "are removed at random; the ratio grows from 4 to 8 to give as many points. Outliers are points that lie "
+        "anywhere in the bounding box, made a fifth larger, instead of on the surface; they count in all scores.\n"
     ]
     for sweep, axis in AXES.items():
         rows = [
@@ -109,7 +113,7 @@ def draw(steps: List[Step], out: Path) -> None:
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
-    figure, rows = pyplot.subplots(len(AXES), len(PANELS), figsize=(15, 7), sharey="col")
+    figure, rows = pyplot.subplots(len(AXES), len(PANELS), figsize=(15, 10), sharey="col")
     for row, (sweep, axis_label) in zip(rows, AXES.items()):
         of_sweep = [step for step in steps if step.sweep == sweep]
         for panel, (metric, (label, factor)) in zip(row, PANELS.items()):
