@@ -24,6 +24,7 @@
 mod anchors;
 mod apart;
 mod balance;
+mod border;
 mod input;
 mod level;
 mod observer;

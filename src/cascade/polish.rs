@@ -12,11 +12,12 @@ use rayon::prelude::*;
 
 use super::anchors::Anchors;
 use super::balance::{SURPLUS, balanced};
+use super::border::Borders;
 use super::strays::Measured;
 use super::{CascadeError, Observer};
 use crate::cloud::Point;
 use crate::geometry::{
-    KdTree, Neighbour, Rng, Walk, cell_area, farthest_point_sampling, normal, project_to_surface,
+    KdTree, Neighbour, Reach, Rng, Walk, cell_area, farthest_point_sampling, normal, project_to_surface,
 };
 
 /// Neighbours that a point shares midpoints with: the ring around it, and some.
@@ -105,10 +106,13 @@ impl Candidates {
     /// `tree` must be built from `sample`.
     fn of(tree: &KdTree, sample: &[Point], size: usize, input: &Measured, trust: f32) -> Self {
         let reach = REACH * (input.points.len() as f32 / sample.len() as f32).sqrt();
+        let borders = Borders::of(input);
         let cell = |i: usize, near: &[Neighbour], normal| {
             let nearest = input.tree.nearest_one(sample[i]).map_or(0, |n| n.index);
             let spacing = input.spacing[nearest as usize];
-            (nearest, cell_area(sample, i, near, normal, reach * spacing, FLAT * spacing))
+            let radius = reach * spacing;
+            let reach = Reach { radius, past: borders.past(nearest) * radius, flat: FLAT * spacing };
+            (nearest, cell_area(sample, i, near, normal, reach))
         };
         let (rings, cells) = surroundings(tree, sample, cell);
         let mut areas = vec![0.0; input.points.len()];
@@ -367,21 +371,24 @@ mod tests {
 
     #[test]
     fn input_points_share_the_area_of_the_surface() {
-        // A square of area 1, half as dense on its right half; of the input points a grid.
-        let points: Vec<Point> = square(6000, 0.5, 1)
+        // A square of area 1, half as dense on its right half; both clouds are thinned out, and have points on the border.
+        let thinned = |from: u64, to: usize, seed| -> Vec<Point> {
+            let all = square(from, 0.5, seed);
+            farthest_point_sampling(&all, to, 0).iter().map(|&i| all[i as usize]).collect()
+        };
+        let points: Vec<Point> = thinned(20_000, 6000, 1)
             .into_iter()
             .enumerate()
-            .filter(|(i, p)| p[0] < 0.5 || i % 2 == 0)
+            .filter(|(i, p)| p[0] < 0.5 || *i < 3000)
             .map(|(_, p)| p)
             .collect();
+        let even = thinned(8000, 400, 2);
         let (tree, made) = KdTree::in_order(&points);
-        let grid: Vec<Point> =
-            (0..400).map(|i| [(i % 20) as f32 / 20.0 + 0.025, (i / 20) as f32 / 20.0 + 0.025, 0.5]).collect();
-        let input = Measured::new(&grid, vec![0.06; 400]);
+        let input = Measured::new(&even, vec![0.06; 400]);
         let areas = Candidates::of(&tree, &made, made.len(), &input, 1.0).areas;
         let whole: f32 = areas.iter().sum();
         assert!((0.93..1.1).contains(&whole), "{whole}");
-        let right: f32 = grid.iter().zip(&areas).filter(|(p, _)| p[0] > 0.5).map(|(_, area)| area).sum();
+        let right: f32 = even.iter().zip(&areas).filter(|(p, _)| p[0] > 0.5).map(|(_, area)| area).sum();
         assert!((right / whole - 0.5).abs() < 0.03, "{right} of {whole} on the right");
     }
 

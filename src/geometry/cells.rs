@@ -14,47 +14,115 @@ const DIRECTIONS: [[f32; 2]; QUARTER] = [[1.0, 0.0], [COS, SIN], [FRAC_1_SQRT_2,
 const COS: f32 = 0.923_879_5;
 const SIN: f32 = 0.382_683_43;
 
-/// The area of the Voronoi cell of point `i` in its tangent plane, as far as that is within `radius` of the point.
+/// No neighbour is within 60 degrees of an open direction: this is the cosine. A straight border leaves a gap of 180
+/// degrees; one of 120 or more, a direction beside it more or less, is taken for a border.
+const OPEN: f32 = 0.5;
+
+/// How far a cell may go, in lengths.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Reach {
+    /// From the point, wherever no neighbour bounds the cell.
+    pub(crate) radius: f32,
+    /// The same past a point that has neighbours on one side only; no more than the radius.
+    pub(crate) past: f32,
+    /// From the tangent plane, for a neighbour to count as lying in it.
+    pub(crate) flat: f32,
+}
+
+/// The area of the Voronoi cell of point `i` in its tangent plane, as far as that is within `reach` of the point.
 ///
-/// `near` are its nearest, the point itself among them, and bound the cell; `normal` is a unit vector. Those that lie no
-/// further than `flat` from the tangent plane are taken to lie in it: a rough sheet has no more area than a smooth one.
+/// `near` are its nearest, the point itself among them, and bound the cell; `normal` is a unit vector. Those that are
+/// `reach.flat` are taken to lie in the tangent plane: a rough sheet has no more area than a smooth one.
 /// Others bound the cell where they are as near as the point itself. The boundary is measured in 16 directions: exact on
 /// average over the turns of a cell (a square comes out 5 % too large or too small), O(`near`). Points in one place share
-/// one cell. All cells of a cloud together are the area of the surface and of what lies within `radius` of its points
+/// one cell. All cells of a cloud together are the area of the surface and of what lies within `reach` of its points
 /// past its borders.
 pub(crate) fn cell_area(
     points: &[Point],
     i: usize,
     near: &[Neighbour],
     normal: [f32; 3],
-    radius: f32,
-    flat: f32,
+    reach: Reach,
 ) -> f32 {
-    let (u, v) = tangents(normal.map(f64::from));
-    let along = |axis: [f64; 3], edge: Point| (0..3).map(|a| axis[a] as f32 * edge[a]).sum::<f32>();
+    let plane = Tangent::of(points[i], normal);
     // The reciprocal of the distance to the boundary, a maximum over the bisectors with all neighbours.
-    let mut nearness = [[1.0 / radius; QUARTER]; 4];
+    let mut nearness = [[1.0 / reach.radius; QUARTER]; 4];
     let mut together = 0;
     for n in near {
-        let q = points[n.index as usize];
-        let edge = std::array::from_fn(|a| q[a] - points[i][a]);
-        let (x, y) = (along(u, edge), along(v, edge));
-        let height = (0..3).map(|a| normal[a] * edge[a]).sum::<f32>();
-        let squared = x * x + y * y + if height.abs() > flat { height * height } else { 0.0 };
+        let ([x, y], height) = plane.edge(points[n.index as usize]);
+        let squared = x * x + y * y + if height.abs() > reach.flat { height * height } else { 0.0 };
         if squared == 0.0 {
             together += 1;
             continue;
         }
-        let (x, y) = (2.0 * x / squared, 2.0 * y / squared);
-        for (d, [cos, sin]) in DIRECTIONS.into_iter().enumerate() {
-            let (ahead, aside) = (cos * x + sin * y, cos * y - sin * x);
-            for (turn, value) in [ahead, aside, -ahead, -aside].into_iter().enumerate() {
-                nearness[turn][d] = nearness[turn][d].max(value);
-            }
-        }
+        raise(&mut nearness, [2.0 * x / squared, 2.0 * y / squared]);
+    }
+    if reach.past < reach.radius
+        && let Some([x, y]) = outwards(points, &plane, near)
+    {
+        raise(&mut nearness, [x / reach.past, y / reach.past]);
     }
     let squares: f32 = nearness.as_flattened().iter().map(|n| 1.0 / (n * n)).sum();
     PI / (4 * QUARTER) as f32 * squares / together.max(1) as f32
+}
+
+/// Whether point `i` has those that are `near` on one side only, seen in its tangent plane: whether it lies on a border.
+pub(crate) fn one_sided(points: &[Point], i: usize, near: &[Neighbour], normal: [f32; 3]) -> bool {
+    outwards(points, &Tangent::of(points[i], normal), near).is_some()
+}
+
+/// The unit vector from a point's neighbours to where it has none, if they leave out enough.
+fn outwards(points: &[Point], plane: &Tangent, near: &[Neighbour]) -> Option<[f32; 2]> {
+    // The cosine of the angle to the neighbour that lies closest to each direction.
+    let mut towards = [[-1.0_f32; QUARTER]; 4];
+    for n in near {
+        let ([x, y], height) = plane.edge(points[n.index as usize]);
+        let length = (x * x + y * y + height * height).sqrt();
+        if length > 0.0 {
+            raise(&mut towards, [x / length, y / length]);
+        }
+    }
+    let (mut count, mut sum) = (0.0, [0.0_f32; 2]);
+    for (turn, row) in towards.iter().enumerate() {
+        for ([cos, sin], _) in DIRECTIONS.into_iter().zip(row).filter(|(_, cosine)| **cosine < OPEN) {
+            let [x, y] = [[cos, sin], [-sin, cos], [-cos, -sin], [sin, -cos]][turn];
+            (count, sum) = (count + 1.0, [sum[0] + x, sum[1] + y]);
+        }
+    }
+    let length = sum[0].hypot(sum[1]);
+    // Open on opposite sides is a thread, which has no one border.
+    (length > 0.7 * count).then(|| sum.map(|c| c / length))
+}
+
+/// Raises each direction's value to its product with a vector.
+fn raise(values: &mut [[f32; QUARTER]; 4], [x, y]: [f32; 2]) {
+    for (d, [cos, sin]) in DIRECTIONS.into_iter().enumerate() {
+        let (ahead, aside) = (cos * x + sin * y, cos * y - sin * x);
+        for (turn, value) in [ahead, aside, -ahead, -aside].into_iter().enumerate() {
+            values[turn][d] = values[turn][d].max(value);
+        }
+    }
+}
+
+/// A plane through a point.
+struct Tangent {
+    origin: Point,
+    axes: [[f32; 3]; 2],
+    normal: [f32; 3],
+}
+
+impl Tangent {
+    fn of(origin: Point, normal: [f32; 3]) -> Self {
+        let (u, v) = tangents(normal.map(f64::from));
+        Self { origin, axes: [u, v].map(|axis| axis.map(|c| c as f32)), normal }
+    }
+
+    /// From the origin to a point: along the axes, and off the plane.
+    fn edge(&self, q: Point) -> ([f32; 2], f32) {
+        let edge: [f32; 3] = std::array::from_fn(|a| q[a] - self.origin[a]);
+        let along = |axis: [f32; 3]| (0..3).map(|a| axis[a] * edge[a]).sum::<f32>();
+        (self.axes.map(along), along(self.normal))
+    }
 }
 
 #[cfg(test)]
@@ -63,12 +131,12 @@ mod tests {
     use super::*;
 
     /// The areas of the cells of all `points`.
-    fn areas(points: &[Point], radius: f32) -> Vec<f32> {
+    fn areas(points: &[Point], radius: f32, past: f32) -> Vec<f32> {
         let tree = KdTree::new(points);
         let mut near = Vec::new();
         let area = |i: usize| {
             tree.nearest(points[i], 12, &mut near);
-            cell_area(points, i, &near, normal(points, &near), radius, 0.0)
+            cell_area(points, i, &near, normal(points, &near), Reach { radius, past, flat: 0.0 })
         };
         (0..points.len()).map(area).collect()
     }
@@ -76,12 +144,13 @@ mod tests {
     #[test]
     fn a_cell_of_a_grid_is_a_square_and_of_a_lone_point_a_disc() {
         let grid: Vec<Point> = (0..400).map(|i| [(i % 20) as f32, (i / 20) as f32, 7.0]).collect();
-        let areas = areas(&grid, 5.0);
+        let areas = areas(&grid, 5.0, 5.0);
         let inner = areas[10 * 20 + 10];
         // 5 % too much in this one turn of the square, as much too little in others.
         assert!((inner - 1.0).abs() < 0.06, "{inner}");
-        let alone =
-            cell_area(&grid, 0, &[Neighbour { index: 0, distance_squared: 0.0 }], [0.0, 0.0, 1.0], 3.0, 0.0);
+        let reach = Reach { radius: 3.0, past: 3.0, flat: 0.0 };
+        let itself = [Neighbour { index: 0, distance_squared: 0.0 }];
+        let alone = cell_area(&grid, 0, &itself, [0.0, 0.0, 1.0], reach);
         assert!((alone - 9.0 * PI).abs() < 1e-3, "{alone}");
     }
 
@@ -105,7 +174,7 @@ mod tests {
             .filter(|(k, i)| *k < 500 || all[**i as usize][2] > 0.0)
             .map(|(_, i)| all[*i as usize])
             .collect();
-        let found = areas(&points, 0.3);
+        let found = areas(&points, 0.3, 0.3);
         // Brute force: of many points of the sphere, those nearest to each.
         let many = sphere(200_000);
         let tree = KdTree::new(&points);
@@ -146,7 +215,7 @@ mod tests {
             let mut near = Vec::new();
             let area = |i: usize| {
                 tree.nearest(points[i], 12, &mut near);
-                cell_area(points, i, &near, [0.0, 0.0, 1.0], 0.05, flat)
+                cell_area(points, i, &near, [0.0, 0.0, 1.0], Reach { radius: 0.05, past: 0.05, flat })
             };
             (0..points.len()).map(area).sum()
         };
@@ -161,9 +230,37 @@ mod tests {
     fn points_in_one_place_share_a_cell_and_a_border_adds_the_radius() {
         let square: Vec<Point> = (0..441).map(|i| [(i % 21) as f32, (i / 21) as f32, 0.0]).collect();
         let twice: Vec<Point> = square.iter().chain(&square).copied().collect();
-        let (once, both): (f32, f32) = (areas(&square, 1.0).iter().sum(), areas(&twice, 1.0).iter().sum());
+        let sum = |points: &[Point], past: f32| areas(points, 1.0, past).iter().sum::<f32>();
+        let (once, both) = (sum(&square, 1.0), sum(&twice, 1.0));
         // 20 by 20, and a rim as wide as the radius but for the cells' round ends; cells of squares are 5 % too large.
         assert!((470.0..508.0).contains(&once), "{once}");
         assert!((both / once - 1.0).abs() < 0.1, "{both} and {once}");
+        // A border that is known to be near: a rim of a tenth, but for the corners.
+        let ended = sum(&square, 0.1);
+        assert!((400.0..432.0).contains(&ended), "{ended}");
+    }
+
+    #[test]
+    fn what_has_neighbours_on_one_side_is_a_border_and_nothing_inside_is() {
+        let mut random = Rng::new(7);
+        let all: Vec<Point> = (0..8000).map(|_| [random.f64() as f32, random.f64() as f32, 0.0]).collect();
+        let even = farthest_point_sampling(&all, 1000, 0);
+        let points: Vec<Point> = even.iter().map(|&i| all[i as usize]).collect();
+        let tree = KdTree::new(&points);
+        let mut near = Vec::new();
+        // Of those that lie further than `from` and no further than `to` from the middle, in x or in y.
+        let mut share = |from: f32, to: f32| {
+            let out = |p: &Point| (p[0] - 0.5).abs().max((p[1] - 0.5).abs());
+            let ring: Vec<usize> = (0..1000).filter(|&i| (from..to).contains(&out(&points[i]))).collect();
+            let sided = ring.iter().filter(|&&i| {
+                tree.nearest(points[i], 12, &mut near);
+                one_sided(&points, i, &near, [0.0, 0.0, 1.0])
+            });
+            sided.count() as f64 / ring.len() as f64
+        };
+        // The spacing is 0.03.
+        let (border, inside) = (share(0.495, 0.5), share(0.0, 0.45));
+        assert!(border > 0.9, "{border} of the border");
+        assert!(inside < 0.01, "{inside} of the inside");
     }
 }

@@ -27,7 +27,7 @@ mod shapes;
 mod surface_distance;
 mod uniform;
 
-pub(crate) use cells::cell_area;
+pub(crate) use cells::{Reach, cell_area, one_sided};
 pub use farthest::farthest_point_sampling;
 pub use kdtree::{KdTree, Neighbour, Walk};
 pub use mesh::{Mesh, MeshError};
