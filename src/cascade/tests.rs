@@ -225,3 +225,23 @@ fn memory_that_is_not_there_is_an_error_and_no_end_of_the_program() {
     assert!(matches!(error, CascadeError::OutOfMemory(_)), "{error}");
     assert_eq!(filled(7_u8, 3).unwrap(), [7; 3]);
 }
+
+#[test]
+fn outliers_come_out_as_they_went_in_and_nothing_is_made_of_them() {
+    let mut cloud = sphere(1000, 5);
+    let mut random = Rng::new(9);
+    let lone: Vec<Position> = (0..10).map(|_| std::array::from_fn(|_| 3.0 + 12.0 * random.f64())).collect();
+    cloud.extend(&lone);
+    for (ratio, polish) in [(1.0, true), (2.0, true), (4.0, true), (4.0, false), (16.0, true)] {
+        let settings = Settings { polish, ..Settings::default() };
+        let dense = upsample(&cloud, Target::Ratio(ratio), &settings, &workers(2), &Silent).unwrap();
+        assert_eq!(dense.positions.len(), (1010.0 * ratio) as usize);
+        assert_eq!(dense.apart, 10);
+        let far: Vec<_> = dense.positions.iter().filter(|p| p[0] > 2.0).collect();
+        assert_eq!(far.len(), 10, "{ratio}: {far:?}");
+        for q in &lone {
+            let near = far.iter().any(|p| (0..3).all(|a| (p[a] - q[a]).abs() < 1e-4));
+            assert!(near, "{q:?} is not among {far:?}");
+        }
+    }
+}
