@@ -2,8 +2,7 @@
 //!
 //! A unit sees neighbours. A lone point's neighbours are far off, on a surface that is not its own, so what the unit
 //! makes of it lies somewhere between; the next level takes that for a surface; and farthest point sampling, which
-//! chooses what is far from everything, prefers it all to the scan. With one outlier in a hundred points a quarter of
-//! the result would lie where nothing was measured.
+//! chooses what is far from everything, prefers it all to the scan: of each lone point came a cloud of them.
 
 use rayon::prelude::*;
 
