@@ -94,8 +94,8 @@ def remove(points: np.ndarray, share: float, seed: int) -> np.ndarray:
 
 
 def strew(points: np.ndarray, share: float, seed: int) -> np.ndarray:
-    """[n,3] with a random share of its rows anywhere in the bounding box, made a fifth larger about its middle. With the
-    same seed, those of a smaller share are among those of a larger one, in the same places."""
+    """[n,3] with a random share of its rows anywhere in the bounding box, made a fifth larger about its middle. With
+    the same seed, those of a smaller share are among those of a larger one, in the same places."""
     if not 0 <= share <= 1:
         raise ValueError(f"the share of outliers must be from 0 to 1, not {share}")
     random = np.random.default_rng(seed)
