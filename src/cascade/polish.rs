@@ -346,7 +346,7 @@ mod tests {
             let mut random = Rng::new(n);
             let made: Vec<Point> = (0..n).map(|_| std::array::from_fn(|_| random.f64() as f32)).collect();
             let input = Measured::new(&made, vec![0.1; made.len()]);
-            // At most twice as many are asked for; with edges at any angle to any normal.
+            // Edges at any angle to any normal: few midpoints are of one surface.
             for size in [2 * made.len(), 3 * made.len()] {
                 let dense = polish(&made, size, size, &input, &mut Rng::new(5), &Silent).unwrap();
                 assert_eq!(dense.len(), size);

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import List
+from typing import Callable, List
 
 import numpy as np
 
@@ -38,30 +38,26 @@ class Inputs:
 
     def with_removed(self, points: int, share: float) -> Path:
         """A folder with even samples, a random share of whose points is missing."""
-        whole = self.sampled(points)
-        if share == 0:
-            return whole
-        folder = self.out / "inputs" / f"{whole.name}-removed-{share:g}"
-        folder.mkdir(parents=True, exist_ok=True)
-        for number, shape in enumerate(self.shapes):
-            source, file = whole / f"{shape}.ply", folder / f"{shape}.xyz"
-            if not (file.exists() and file.stat().st_mtime_ns >= source.stat().st_mtime_ns):
-                kept = remove(read_points(source), share, number)
-                write_points(file, kept)
-        return folder
+        return self.spoilt(points, share, "removed", remove)
 
     def with_outliers(self, points: int, share: float) -> Path:
         """A folder with even samples, a random share of whose points is anywhere in the bounding box, made a fifth
         larger, instead."""
+        return self.spoilt(points, share, "outliers", strew)
+
+    def spoilt(
+        self, points: int, share: float, name: str, spoil: Callable[[np.ndarray, float, int], np.ndarray]
+    ) -> Path:
+        """A folder with even samples to each of which something was done, by its number as the seed."""
         whole = self.sampled(points)
         if share == 0:
             return whole
-        folder = self.out / "inputs" / f"{whole.name}-outliers-{share:g}"
+        folder = self.out / "inputs" / f"{whole.name}-{name}-{share:g}"
         folder.mkdir(parents=True, exist_ok=True)
         for number, shape in enumerate(self.shapes):
             source, file = whole / f"{shape}.ply", folder / f"{shape}.xyz"
             if not (file.exists() and file.stat().st_mtime_ns >= source.stat().st_mtime_ns):
-                write_points(file, strew(read_points(source), share, number))
+                write_points(file, spoil(read_points(source), share, number))
         return folder
 
 
