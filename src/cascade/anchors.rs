@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use super::strays::Measured;
+use super::measured::Measured;
 use crate::cloud::Point;
 use crate::geometry::{KdTree, Walk, project_to_surface};
 

@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use super::strays::Measured;
+use super::measured::Measured;
 use crate::cloud::Point;
 use crate::geometry::{normal, one_sided, quadratic_residual};
 
@@ -23,9 +23,10 @@ const SHEET: usize = 25;
 const RING: usize = 9;
 
 /// What an input tells of its borders.
+#[derive(Default)]
 pub(super) struct Borders {
-    /// The share of a cell's reach that the surface goes on past a point on a border.
-    past: f32,
+    /// How sure it is, from 0 to 1, that the input's points lie on the borders themselves.
+    even: f32,
     /// For each input point, whether the surface may end near it: whether it, or one around it, lies on a border of one
     /// smooth sheet. What is not one sheet can look as if it ended, and goes on at the back.
     possible: Vec<bool>,
@@ -35,7 +36,7 @@ impl Borders {
     /// O(n), and a neighbourhood's search and fit for those that lie on a border.
     pub(super) fn of(input: &Measured) -> Self {
         let random = ((unevenness(input) - EVEN) / (RANDOM - EVEN)).clamp(0.0, 1.0);
-        let past = PAST + (1.0 - PAST) * random;
+        let even = 1.0 - random;
         let ends = |found: &mut Vec<_>, i: usize| {
             let p = input.points[i];
             input.tree.nearest(p, RING, found);
@@ -45,16 +46,21 @@ impl Borders {
             input.tree.nearest(p, SHEET, found);
             (quadratic_residual(&input.points, found) as f32) < SMOOTH * input.spacing[i]
         };
-        let count = if past < 1.0 { input.points.len() } else { 0 };
+        let count = if even > 0.0 { input.points.len() } else { 0 };
         let ends: Vec<bool> = (0..count).into_par_iter().map_init(Vec::new, ends).collect();
         let around = |i: usize| ends[i] || input.around(i as u32).iter().any(|&j| ends[j as usize]);
-        Self { past, possible: (0..count).map(around).collect() }
+        Self { even, possible: (0..count).map(around).collect() }
+    }
+
+    /// How sure it is, from 0 to 1, that the surface ends where the input point `i` has neighbours on one side only.
+    pub(super) fn ends(&self, i: u32) -> f32 {
+        if self.possible.get(i as usize).is_some_and(|p| *p) { self.even } else { 0.0 }
     }
 
     /// The share of a cell's reach that the surface goes on past a point whose nearest input point is `i`, where that one
     /// has neighbours on one side only.
     pub(super) fn past(&self, i: u32) -> f32 {
-        if self.possible.get(i as usize).is_some_and(|p| *p) { self.past } else { 1.0 }
+        1.0 - (1.0 - PAST) * self.ends(i)
     }
 }
 

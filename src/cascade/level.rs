@@ -6,9 +6,10 @@ use half::f16;
 use half::slice::HalfFloatSliceExt;
 use rayon::prelude::*;
 
+use super::measured::Measured;
 use super::patches::Patches;
 use super::polish::polish;
-use super::strays::{Made, Measured, without_strays};
+use super::strays::{Made, without_strays};
 use super::{CascadeError, Observer, Settings, Stage, filled};
 use crate::backend::{BackendError, Batch, SKIP_NEIGHBOURS, SkipInput, Worker, Workers};
 use crate::cloud::Point;

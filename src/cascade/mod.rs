@@ -27,6 +27,7 @@ mod balance;
 mod border;
 mod input;
 mod level;
+mod measured;
 mod observer;
 mod patches;
 mod plan;

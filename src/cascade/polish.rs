@@ -12,8 +12,7 @@ use rayon::prelude::*;
 
 use super::anchors::Anchors;
 use super::balance::{SURPLUS, balanced};
-use super::border::Borders;
-use super::strays::Measured;
+use super::measured::Measured;
 use super::{CascadeError, Observer};
 use crate::cloud::Point;
 use crate::geometry::{
@@ -106,12 +105,11 @@ impl Candidates {
     /// `tree` must be built from `sample`.
     fn of(tree: &KdTree, sample: &[Point], size: usize, input: &Measured, trust: f32) -> Self {
         let reach = REACH * (input.points.len() as f32 / sample.len() as f32).sqrt();
-        let borders = Borders::of(input);
         let cell = |i: usize, near: &[Neighbour], normal| {
             let nearest = input.tree.nearest_one(sample[i]).map_or(0, |n| n.index);
             let spacing = input.spacing[nearest as usize];
             let radius = reach * spacing;
-            let reach = Reach { radius, past: borders.past(nearest) * radius, flat: FLAT * spacing };
+            let reach = Reach { radius, past: input.borders.past(nearest) * radius, flat: FLAT * spacing };
             (nearest, cell_area(sample, i, near, normal, reach))
         };
         let (rings, cells) = surroundings(tree, sample, cell);
