@@ -15,19 +15,19 @@ demo: build
 test: test-rust test-python
 
 test-rust: onnxruntime
-	cargo test
+	cargo test --workspace
 
 test-python: venv
 	.venv/bin/python -m pytest -q training/tests
 
 lint: venv
 	cargo fmt --check
-	cargo clippy --all-targets -- -D warnings
+	cargo clippy --workspace --all-targets -- -D warnings
 	.venv/bin/python -m ruff check training tests/interop
 	.venv/bin/python -m ruff format --check training tests/interop
 
 build: onnxruntime
-	cargo build --release
+	cargo build --release --package densecloud-cli
 
 onnxruntime:
 	sh scripts/fetch-onnxruntime.sh

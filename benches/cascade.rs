@@ -6,11 +6,12 @@
 use std::sync::Arc;
 use std::time::Instant;
 
+use densecloud::Request;
 use densecloud::attributes::Finish;
-use densecloud::backend::Model;
-use densecloud::cascade::{Settings, Stage, Target};
-use densecloud::engine::{Engine, EngineConfig, Request, StageTimes};
-use densecloud::geometry::{poisson_disk, shape};
+use densecloud_backends::{Model, OnnxBackend};
+use densecloud_cascade::{Settings, Stage, Target};
+use densecloud_engine::{Engine, EngineConfig, StageTimes};
+use densecloud_geometry::{poisson_disk, shape};
 
 /// Points in, ratio, and whether the last level is polished.
 const SIZES: [(usize, f64, bool); 5] =
@@ -29,7 +30,8 @@ fn main() {
     let model = Arc::new(model.expect("a model"));
     let config = EngineConfig { threads, concurrency: 1, queue_points: u64::MAX, ..EngineConfig::default() };
     let start = Instant::now();
-    let engine = Engine::new(model, config).expect("an engine");
+    let engine = Engine::with_backend(Arc::new(OnnxBackend::new(model).expect("a runtime")), config)
+        .expect("an engine");
     println!("{threads} threads; open the model: {:.3} s", start.elapsed().as_secs_f64());
     for &(points, ratio, polish) in sizes {
         measure(&engine, points, ratio, polish, runs);

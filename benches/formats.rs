@@ -5,8 +5,8 @@
 use std::hint::black_box;
 use std::time::Instant;
 
-use densecloud::formats::{CloudReader, CloudWriter, Format, Limits, PlyEncoding, Scalar};
-use densecloud::geometry::{shape, uniform};
+use densecloud_formats::{CloudReader, CloudWriter, Format, Limits, PlyEncoding, Scalar};
+use densecloud_geometry::{shape, uniform};
 
 const POINTS: usize = 1_000_000;
 

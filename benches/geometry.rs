@@ -8,8 +8,8 @@ use std::hint::black_box;
 use std::num::NonZero;
 use std::time::Instant;
 
-use densecloud::cloud::Point;
-use densecloud::geometry::{
+use densecloud_cloud::Point;
+use densecloud_geometry::{
     KdTree, SurfaceDistance, estimate_normals, farthest_point_sampling, poisson_disk, shape, uniform,
 };
 use kiddo::{ImmutableKdTree, SquaredEuclidean};

@@ -8,8 +8,9 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Instant;
 
-use densecloud::backend::{Backend, Batch, Model, OnnxBackend, Output, SKIP_NEIGHBOURS, SkipInput};
-use densecloud::geometry::{poisson_disk, shape};
+use densecloud_backends::{Model, OnnxBackend};
+use densecloud_cascade::{Backend, Batch, Output, SKIP_NEIGHBOURS, SkipInput};
+use densecloud_geometry::{poisson_disk, shape};
 use half::f16;
 use ort::editor::{Graph, Node, ONNX_DOMAIN, Opset};
 use ort::environment::Environment;

@@ -4,9 +4,9 @@ use std::collections::HashMap;
 use std::hash::{BuildHasher, BuildHasherDefault, DefaultHasher};
 use std::sync::{Arc, Mutex};
 
-use densecloud::cloud::Origin;
-use densecloud::formats::{CloudReader, Format, Limits, PlyEncoding, Scalar, encode};
-use densecloud::geometry::{Rng, shape, uniform};
+use densecloud_cloud::Origin;
+use densecloud_formats::{CloudReader, Format, Limits, PlyEncoding, Scalar, encode};
+use densecloud_geometry::{Rng, shape, uniform};
 use hyper::body::Bytes;
 
 pub(crate) const RATIO: u64 = 4;

@@ -1,6 +1,6 @@
 //! What all targets do with the bytes that the fuzzer makes.
 
-use densecloud::formats::{CloudReader, Limits, encode, read_mesh};
+use densecloud_formats::{CloudReader, Limits, encode, read_mesh};
 
 /// Panics that the readers catch themselves, of libraries under them, are no findings.
 pub fn quiet() {

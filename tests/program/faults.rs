@@ -167,7 +167,7 @@ fn a_request_for_which_the_system_has_no_memory_gets_507_and_others_go_on() {
 
 #[test]
 fn a_damaged_model_is_named_before_a_port_is_bound() {
-    let ours = Path::new(env!("CARGO_MANIFEST_DIR")).join("models/default");
+    let ours = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../models/default");
     let read = |name: &str| std::fs::read(ours.join(name)).expect("a file");
     let hash = |bytes: &[u8]| {
         use sha2::{Digest, Sha256};

@@ -6,8 +6,8 @@ use std::path::Path;
 use std::process::Stdio;
 use std::time::{Duration, Instant};
 
-use densecloud::cloud::Origin;
-use densecloud::formats::Format;
+use densecloud_cloud::Origin;
+use densecloud_formats::Format;
 use serde_json::{Value, json};
 
 use crate::support::{PATIENCE, Serving, agent, densecloud, request, signal, wide_sphere};
@@ -86,7 +86,7 @@ fn zlib(bytes: &[u8]) -> Vec<u8> {
 fn forged(format: Format, changes: &[(usize, &[u8])]) -> Vec<u8> {
     let positions: Vec<_> = (0..50).map(|i| [f64::from(i), f64::from(i * i % 17), 1.0]).collect();
     let mut bytes =
-        densecloud::formats::encode(Vec::new(), format, &positions, &[], &Origin::default()).expect("memory");
+        densecloud_formats::encode(Vec::new(), format, &positions, &[], &Origin::default()).expect("memory");
     for (at, new) in changes {
         bytes[*at..at + new.len()].copy_from_slice(new);
     }
@@ -283,9 +283,9 @@ fn sources(folder: &Path, into: &mut String) {
 
 #[test]
 fn every_test_that_the_threat_model_names_is_there() {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let root = &Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
     let mut all = String::new();
-    for folder in ["src", "tests"] {
+    for folder in ["crates", "tests"] {
         sources(&root.join(folder), &mut all);
     }
     let model = std::fs::read_to_string(root.join("SECURITY.md")).expect("the threat model");

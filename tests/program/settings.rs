@@ -49,7 +49,7 @@ fn settings_are_checked_before_a_port_is_bound() {
         (&["serve", "--open", "doors"], "--open"),
         (&["serve", "--open", "none,health"], "--open"),
         (&["serve", "--keys", "/nowhere/keys"], "/nowhere/keys"),
-        (&["serve", "--keys", concat!(env!("CARGO_MANIFEST_DIR"), "/LICENSE-MIT")], "line 1"),
+        (&["serve", "--keys", concat!(env!("CARGO_MANIFEST_DIR"), "/../../LICENSE-MIT")], "line 1"),
         (&["serve", "--no-such-option"], "--no-such-option"),
         (&["serve", "--model", "/nowhere"], "--model"),
         (&["serve", "--data-dir", "Cargo.toml"], "--data-dir"),

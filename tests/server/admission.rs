@@ -4,10 +4,9 @@ use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 use std::sync::Arc;
 
-use densecloud::backend::Fake;
-use densecloud::engine::EngineConfig;
-use densecloud::jobs;
-use densecloud::server::{Access, Config, Keys};
+use densecloud_cascade::Fake;
+use densecloud_engine::EngineConfig;
+use densecloud_server::{Access, Config, Keys};
 
 use crate::support::{PLY, Reply, Scripted, Server, cloud, encode, wait_until};
 
@@ -194,11 +193,12 @@ fn a_deadline_that_the_backlog_rules_out_is_refused_at_once() {
 fn work_too_big_for_memory_gets_507_and_the_server_lives() {
     let sizes = EngineConfig { threads: 2, memory: 2 << 20, ..Default::default() };
     let folder = tempfile::tempdir().unwrap();
-    let config = Config { jobs: Some(jobs::Settings::new(folder.path().to_owned())), ..Config::default() };
+    let config =
+        Config { jobs: Some(densecloud_jobs::Settings::new(folder.path().to_owned())), ..Config::default() };
     let server = Server::start_cold(&Scripted::new(), sizes, config);
     server.wait_for_ready();
     for path in ["/upsample", "/jobs"] {
-        for format in [PLY, densecloud::formats::Format::TEXT] {
+        for format in [PLY, densecloud_formats::Format::TEXT] {
             let refused = server.post(&format!("{path}?ratio=64"), &encode(&cloud(100), format));
             is_refused(&refused, 507, "too-big-for-memory");
             assert_eq!(refused.problem()["setting"], "--max-memory");
@@ -211,7 +211,10 @@ fn work_too_big_for_memory_gets_507_and_the_server_lives() {
 #[test]
 fn jobs_are_their_clients_own() {
     let folder = tempfile::tempdir().unwrap();
-    let settings = jobs::Settings { client_queued: 2, ..jobs::Settings::new(folder.path().join("jobs")) };
+    let settings = densecloud_jobs::Settings {
+        client_queued: 2,
+        ..densecloud_jobs::Settings::new(folder.path().join("jobs"))
+    };
     let config = Config { access: keys(folder.path()), jobs: Some(settings), ..Config::default() };
     let backend = Scripted::new();
     let server = Server::start(&backend, config);

@@ -1,10 +1,10 @@
 //! What goes well.
 
-use densecloud::backend::ModelName;
-use densecloud::cascade::Target;
-use densecloud::cloud::{Attribute, Origin, Values};
-use densecloud::formats::{self, CloudReader, Format, Limits, PcdEncoding, PlyEncoding, Scalar, Separator};
-use densecloud::server::{Config, ModelInfo};
+use densecloud_backends::ModelName;
+use densecloud_cascade::Target;
+use densecloud_cloud::{Attribute, Origin, Values};
+use densecloud_formats::{CloudReader, Format, Limits, PcdEncoding, PlyEncoding, Scalar, Separator};
+use densecloud_server::{Config, ModelInfo};
 
 use crate::support::{PLY, Reply, Scripted, Server, cloud, dense, encode, encode_result, outcome};
 
@@ -57,7 +57,8 @@ fn las_and_pcd_are_answered_as_such() {
     ] {
         let intensity = Attribute { name: "intensity".into(), values: Values::U16((0..300).collect()) };
         let origin = Origin { crs: "EPSG:25832".parse().ok(), ..Origin::default() };
-        let body = formats::encode(Vec::new(), format, &cloud(300), &[intensity], &origin).expect("a file");
+        let body = densecloud_formats::encode(Vec::new(), format, &cloud(300), &[intensity], &origin)
+            .expect("a file");
         let reply = server.post("/upsample?ratio=4", &body);
         assert_eq!(reply.status, 200, "{format:?}: {}", reply.text());
         assert_eq!(reply.header("content-type"), Some(media));
@@ -68,7 +69,8 @@ fn las_and_pcd_are_answered_as_such() {
         let dense = outcome(cloud, Target::Ratio(4.0), 0);
         let mut origin = origin;
         origin.comments.push(reply.header("densecloud-provenance").expect("provenance").to_owned());
-        let expected = formats::encode(Vec::new(), format, &dense.positions, &dense.attributes, &origin);
+        let expected =
+            densecloud_formats::encode(Vec::new(), format, &dense.positions, &dense.attributes, &origin);
         assert!(reply.body == expected.expect("a file"), "{format:?}");
         let back = CloudReader::open(&reply.body[..], Limits::default()).expect("a header");
         assert!(back.header().format.is_like(format));
@@ -247,7 +249,7 @@ fn the_input_can_be_kept_and_a_spacing_asked_for() {
     let refused = server.post("/upsample?spacing=1e-9", &body);
     assert_eq!((refused.status, refused.problem_name().as_str()), (422, "impossible-cloud"));
     let config = Config {
-        limits: densecloud::server::Limits { points_out: 1000, ..Default::default() },
+        limits: densecloud_server::Limits { points_out: 1000, ..Default::default() },
         ..Config::default()
     };
     let small = Server::start(&Scripted::new(), config);

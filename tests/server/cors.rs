@@ -1,6 +1,6 @@
 //! Pages of other sites: kept out, unless they are named.
 
-use densecloud::server::Config;
+use densecloud_server::Config;
 
 use crate::support::{PLY, Reply, Scripted, Server, cloud, encode};
 

@@ -4,9 +4,8 @@ use std::io::Write;
 use std::net::TcpStream;
 use std::time::Duration;
 
-use densecloud::backend::Fake;
-use densecloud::jobs;
-use densecloud::server::Config;
+use densecloud_cascade::Fake;
+use densecloud_server::Config;
 use proptest::prelude::*;
 use proptest::test_runner::TestRunner;
 use serde_json::json;
@@ -110,7 +109,7 @@ fn depart(mut client: Client, asks: Asks, leaves: Leaves, job: &str) {
 fn whoever_leaves_at_whatever_stage_gives_back_what_it_was_given() {
     let folder = tempfile::tempdir().expect("a folder");
     let mut config =
-        Config { jobs: Some(jobs::Settings::new(folder.path().to_owned())), ..Config::default() };
+        Config { jobs: Some(densecloud_jobs::Settings::new(folder.path().to_owned())), ..Config::default() };
     // So few that a place that is not given back is soon missed.
     config.limits.connections = 8;
     // 16x of 400 points is some hundred batches, and so takes longer than the clients wait.

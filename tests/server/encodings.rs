@@ -2,9 +2,8 @@
 
 use std::io::Read;
 
-use densecloud::formats::{Format, PcdEncoding, Scalar};
-use densecloud::jobs;
-use densecloud::server::Config;
+use densecloud_formats::{Format, PcdEncoding, Scalar};
+use densecloud_server::Config;
 
 use crate::support::{PLY, Reply, Scripted, Server, cloud, encode, wait_until};
 
@@ -70,7 +69,7 @@ fn what_would_not_become_smaller_is_sent_as_it_is() {
     // A grid of whole numbers: of other clouds, LZF makes nothing smaller.
     let grid: Vec<_> = (0..900).map(|i| [f64::from(i % 30), f64::from(i / 30), 0.0]).collect();
     let format = Format::Pcd { encoding: PcdEncoding::Compressed, scalar: Scalar::F32 };
-    let grid = densecloud::formats::encode(Vec::new(), format, &grid, &[], &Default::default());
+    let grid = densecloud_formats::encode(Vec::new(), format, &grid, &[], &Default::default());
     let grid = grid.expect("memory");
     assert!(String::from_utf8_lossy(&grid).contains("DATA binary_compressed"));
     let packed = server.ask("POST", "/upsample?ratio=4", "accept-encoding: gzip\r\n", &grid);
@@ -86,7 +85,8 @@ fn what_would_not_become_smaller_is_sent_as_it_is() {
 #[test]
 fn a_jobs_result_has_a_tag_for_each_of_its_forms_and_parts_are_of_the_plain_one() {
     let folder = tempfile::tempdir().expect("a folder");
-    let config = Config { jobs: Some(jobs::Settings::new(folder.path().to_owned())), ..Config::default() };
+    let config =
+        Config { jobs: Some(densecloud_jobs::Settings::new(folder.path().to_owned())), ..Config::default() };
     let server = Server::start(&Scripted::new(), config);
     let job = server.post("/jobs?ratio=16", &encode(&cloud(500), PLY));
     let path = job.header("location").expect("a location").to_owned();

@@ -1,8 +1,7 @@
 //! Faults that are not the client's: a worker that panics, a database that another program holds.
 
-use densecloud::cascade::Target;
-use densecloud::jobs;
-use densecloud::server::Config;
+use densecloud_cascade::Target;
+use densecloud_server::Config;
 use serde_json::Value;
 
 use crate::support::{Client, PLY, Scripted, Server, cloud, dense, encode, encode_result, wait_until};
@@ -53,7 +52,8 @@ fn json(bytes: &[u8]) -> Value {
 fn a_job_under_which_a_worker_panics_fails_and_the_next_is_done() {
     let folder = tempfile::tempdir().expect("a folder");
     let backend = Scripted::new();
-    let config = Config { jobs: Some(jobs::Settings::new(folder.path().to_owned())), ..Config::default() };
+    let config =
+        Config { jobs: Some(densecloud_jobs::Settings::new(folder.path().to_owned())), ..Config::default() };
     let server = Server::start(&backend, config);
     let body = encode(&cloud(300), PLY);
     for (panics, state) in [(true, "failed"), (false, "done")] {
@@ -71,7 +71,8 @@ fn a_job_under_which_a_worker_panics_fails_and_the_next_is_done() {
 fn a_database_that_another_program_locks_is_told_of_and_nothing_is_lost() {
     let folder = tempfile::tempdir().expect("a folder");
     let backend = Scripted::new();
-    let config = Config { jobs: Some(jobs::Settings::new(folder.path().to_owned())), ..Config::default() };
+    let config =
+        Config { jobs: Some(densecloud_jobs::Settings::new(folder.path().to_owned())), ..Config::default() };
     let server = Server::start(&backend, config);
     let body = encode(&cloud(300), PLY);
     let submit = |key: &str| {
@@ -135,7 +136,7 @@ fn names_of_jobs_lead_nowhere_else() {
     let folder = tempfile::tempdir().expect("a folder");
     std::fs::write(folder.path().join("secret"), "a secret").expect("a file");
     let data = folder.path().join("data");
-    let config = Config { jobs: Some(jobs::Settings::new(data.clone())), ..Config::default() };
+    let config = Config { jobs: Some(densecloud_jobs::Settings::new(data.clone())), ..Config::default() };
     let server = Server::start(&Scripted::new(), config);
     // What a job's files are called, its database, and files beside them.
     std::fs::write(data.join("files/known.out"), "a secret").expect("a file");

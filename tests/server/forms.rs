@@ -1,7 +1,6 @@
 //! Forms: the cloud and the options as `curl -F` and browsers send them.
 
-use densecloud::jobs;
-use densecloud::server::{Config, Limits, Timeouts};
+use densecloud_server::{Config, Limits, Timeouts};
 use std::time::Duration;
 
 use crate::support::{PLY, Reply, Scripted, Server, cloud, encode, wait_until};
@@ -89,7 +88,8 @@ fn a_form_is_a_query_and_a_body_in_any_order() {
 #[test]
 fn a_job_is_submitted_with_a_form_and_again_under_its_key() {
     let folder = tempfile::tempdir().expect("a folder");
-    let config = Config { jobs: Some(jobs::Settings::new(folder.path().to_owned())), ..Config::default() };
+    let config =
+        Config { jobs: Some(densecloud_jobs::Settings::new(folder.path().to_owned())), ..Config::default() };
     let server = Server::start(&Scripted::new(), config);
     let cloud = encode(&cloud(300), PLY);
     let parts = [File("cloud", &cloud), Option("ratio", "3"), Option("attributes", "a:mean")];

@@ -2,11 +2,12 @@
 
 use std::time::Duration;
 
-use densecloud::backend::{Fake, ModelName};
-use densecloud::cascade::Target;
-use densecloud::cloud::Position;
-use densecloud::engine::EngineConfig;
-use densecloud::server::{Config, Limits, ModelInfo};
+use densecloud_backends::ModelName;
+use densecloud_cascade::Fake;
+use densecloud_cascade::Target;
+use densecloud_cloud::Position;
+use densecloud_engine::EngineConfig;
+use densecloud_server::{Config, Limits, ModelInfo};
 use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
 

@@ -3,16 +3,15 @@
 use std::path::Path;
 use std::time::Duration;
 
-use densecloud::cascade::Target;
-use densecloud::formats::Format;
-use densecloud::jobs;
-use densecloud::server::Config;
+use densecloud_cascade::Target;
+use densecloud_formats::Format;
+use densecloud_server::Config;
 use serde_json::Value;
 
 use crate::support::{PLY, Reply, Scripted, Server, cloud, dense, encode, encode_result, wait_until};
 
 fn config(folder: &Path) -> Config {
-    Config { jobs: Some(jobs::Settings::new(folder.to_owned())), ..Config::default() }
+    Config { jobs: Some(densecloud_jobs::Settings::new(folder.to_owned())), ..Config::default() }
 }
 
 fn folder() -> tempfile::TempDir {
@@ -59,7 +58,7 @@ fn a_jobs_result_is_what_upsample_answers() {
         (PLY, "ratio=3&normals=estimate&source_fields", "accept: text/csv, */*;q=0.1\r\n"),
     ] {
         let body =
-            densecloud::formats::encode(Vec::new(), format, &cloud(300), &[], &Default::default()).unwrap();
+            densecloud_formats::encode(Vec::new(), format, &cloud(300), &[], &Default::default()).unwrap();
         let reply = server.ask("POST", &format!("/jobs?{query}"), accept, &body);
         assert_eq!(reply.status, 202, "{}", reply.text());
         let path = reply.header("location").expect("a location").to_owned();
@@ -336,7 +335,7 @@ fn a_folder_belongs_to_one_server() {
     let _server = Server::start(&Scripted::new(), config(folder.path()));
     let mut other = Server::start_cold(
         &Scripted::new(),
-        densecloud::engine::EngineConfig::default(),
+        densecloud_engine::EngineConfig::default(),
         config(folder.path()),
     );
     let error = other.join().expect_err("locked");

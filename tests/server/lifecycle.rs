@@ -2,10 +2,10 @@
 
 use std::time::Duration;
 
-use densecloud::cascade::Target;
-use densecloud::engine::EngineConfig;
-use densecloud::formats::Format;
-use densecloud::server::{Config, ServeError};
+use densecloud_cascade::Target;
+use densecloud_engine::EngineConfig;
+use densecloud_formats::Format;
+use densecloud_server::{Config, ServeError};
 
 use crate::support::{PLY, Reply, Scripted, Server, cloud, dense, encode, encode_result, narrow, wait_until};
 
@@ -91,7 +91,7 @@ fn a_leaving_server_says_so_first_and_refuses_later() {
 fn a_response_that_is_being_sent_is_sent_whole() {
     let mut server = Server::start(&Scripted::new(), Config::default());
     let mut client = server.connect();
-    client.send_post("/upsample?ratio=64", &encode(&cloud(1000), densecloud::formats::Format::TEXT));
+    client.send_post("/upsample?ratio=64", &encode(&cloud(1000), densecloud_formats::Format::TEXT));
     let start = client.some();
     assert!(start.starts_with(b"HTTP/1.1 200"));
     server.stop();

@@ -2,9 +2,9 @@
 
 use std::time::Duration;
 
-use densecloud::backend::Fake;
-use densecloud::formats::Format;
-use densecloud::server::Config;
+use densecloud_cascade::Fake;
+use densecloud_formats::Format;
+use densecloud_server::Config;
 
 use crate::support::{Client, PLY, Reply, Scripted, Server, cloud, encode, narrow, wait_until};
 

@@ -3,8 +3,8 @@
 use std::io::Write;
 use std::time::Duration;
 
-use densecloud::engine::EngineConfig;
-use densecloud::server::{Config, Limits};
+use densecloud_engine::EngineConfig;
+use densecloud_server::{Config, Limits};
 
 use crate::support::{PLY, Scripted, Server, cloud, encode, wait_until};
 

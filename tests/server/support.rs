@@ -6,13 +6,14 @@ use std::sync::{Arc, Condvar, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+use densecloud::Request;
 use densecloud::attributes::Finish;
-use densecloud::backend::{Backend, BackendError, Batch, Fake, Output, Session, UnitShape};
-use densecloud::cascade::{Settings, Target};
-use densecloud::cloud::{Cloud, Origin, Position};
-use densecloud::engine::{Engine, EngineConfig, Outcome, Request};
-use densecloud::formats::{CloudWriter, Format, PlyEncoding, Scalar};
-use densecloud::server::{self, Config, ServeError};
+use densecloud_cascade::{Backend, BackendError, Batch, Fake, Output, Session, UnitShape};
+use densecloud_cascade::{Settings, Target};
+use densecloud_cloud::{Cloud, Origin, Position};
+use densecloud_engine::{Engine, EngineConfig, Outcome};
+use densecloud_formats::{CloudWriter, Format, PlyEncoding, Scalar};
+use densecloud_server::{Config, ServeError};
 use tokio::sync::oneshot;
 
 /// Longer than anything here takes; a test that needs it all has failed.
@@ -133,7 +134,7 @@ impl Server {
         let shutdown = async {
             let _ = stopped.await;
         };
-        let served = server::run(listener, engine.clone(), config, shutdown);
+        let served = densecloud_server::run(listener, engine.clone(), config, shutdown);
         let thread = std::thread::spawn(move || {
             let result = runtime.block_on(served);
             runtime.shutdown_background();
@@ -378,7 +379,7 @@ pub(crate) fn encode(positions: &[Position], format: Format) -> Vec<u8> {
 pub(crate) fn encode_result(positions: &[Position], format: Format, reply: &Reply) -> Vec<u8> {
     let provenance = reply.header("densecloud-provenance").expect("provenance").to_owned();
     let origin = Origin { comments: vec![provenance], ..Origin::default() };
-    densecloud::formats::encode(Vec::new(), format, positions, &[], &origin).unwrap()
+    densecloud_formats::encode(Vec::new(), format, positions, &[], &origin).unwrap()
 }
 
 /// What the library gives, without a server.

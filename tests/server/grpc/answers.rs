@@ -1,12 +1,12 @@
 //! What is answered, and what is refused.
 
-use densecloud::cloud::Origin;
-use densecloud::formats::{Format, PlyEncoding, Scalar};
-use densecloud::proto::options::{Goal, Result as Wanted};
-use densecloud::proto::upsample_request::Message as In;
-use densecloud::proto::upsample_response::Message as Out;
-use densecloud::proto::{Layout, NumberType, Options, Start, UpsampleRequest};
-use densecloud::server::Config;
+use densecloud_cloud::Origin;
+use densecloud_formats::{Format, PlyEncoding, Scalar};
+use densecloud_server::Config;
+use densecloud_server::proto::options::{Goal, Result as Wanted};
+use densecloud_server::proto::upsample_request::Message as In;
+use densecloud_server::proto::upsample_response::Message as Out;
+use densecloud_server::proto::{Layout, NumberType, Options, Start, UpsampleRequest};
 use futures::stream;
 use tonic::codec::CompressionEncoding;
 use tonic::{Code, Request};
@@ -54,7 +54,7 @@ async fn a_file_in_pieces_becomes_the_file_that_http_answers() {
     let ascii = Format::Ply { encoding: PlyEncoding::Ascii, scalar: Scalar::F64 };
     for format in [PLY, ascii, Format::TEXT, Format::Las { compressed: true }] {
         let bytes =
-            densecloud::formats::encode(Vec::new(), format, &cloud(2000), &[], &Origin::default()).unwrap();
+            densecloud_formats::encode(Vec::new(), format, &cloud(2000), &[], &Origin::default()).unwrap();
         let http = server.post("/upsample?points=9000", &bytes);
         let options = Options { goal: Some(Goal::Points(9000)), ..Options::default() };
         let answer = asked(&server, file(options, &bytes, 777)).await.expect("an answer");

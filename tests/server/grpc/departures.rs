@@ -3,10 +3,10 @@
 use std::time::Duration;
 
 use axum::body::{Body, Bytes};
-use densecloud::engine::EngineConfig;
-use densecloud::proto::upsampler_client::UpsamplerClient;
-use densecloud::proto::{NumberType, UpsampleRequest};
-use densecloud::server::Config;
+use densecloud_engine::EngineConfig;
+use densecloud_server::Config;
+use densecloud_server::proto::upsampler_client::UpsamplerClient;
+use densecloud_server::proto::{NumberType, UpsampleRequest};
 use futures::stream::{self, Stream, StreamExt};
 use http_body_util::BodyExt;
 use tonic::Code;

@@ -4,13 +4,13 @@ mod answers;
 mod departures;
 mod services;
 
-use densecloud::cloud::{Attribute, Cloud, Origin, Values};
-use densecloud::formats::{CloudReader, Format, Limits, Scalar};
-use densecloud::proto::options::Goal;
-use densecloud::proto::upsample_request::Message as In;
-use densecloud::proto::upsample_response::Message as Out;
-use densecloud::proto::upsampler_client::UpsamplerClient;
-use densecloud::proto::{
+use densecloud_cloud::{Attribute, Cloud, Origin, Values};
+use densecloud_formats::{CloudReader, Format, Limits, Scalar};
+use densecloud_server::proto::options::Goal;
+use densecloud_server::proto::upsample_request::Message as In;
+use densecloud_server::proto::upsample_response::Message as Out;
+use densecloud_server::proto::upsampler_client::UpsamplerClient;
+use densecloud_server::proto::{
     Field, Layout, NumberType, Options, PointChunk, Progress, ResultHeader, Start, UpsampleRequest,
 };
 use futures::stream::{self, Stream, StreamExt};
@@ -172,7 +172,7 @@ fn with_attributes(points: usize) -> Cloud {
 
 fn npy(cloud: &Cloud, scalar: Scalar) -> Vec<u8> {
     let format = Format::Npy { scalar, fields: true };
-    densecloud::formats::encode(Vec::new(), format, &cloud.positions, &cloud.attributes, &Origin::default())
+    densecloud_formats::encode(Vec::new(), format, &cloud.positions, &cloud.attributes, &Origin::default())
         .unwrap()
 }
 

@@ -2,9 +2,9 @@
 
 use std::time::Duration;
 
-use densecloud::engine::EngineConfig;
-use densecloud::proto::{NumberType, UpsampleRequest};
-use densecloud::server::Config;
+use densecloud_engine::EngineConfig;
+use densecloud_server::Config;
+use densecloud_server::proto::{NumberType, UpsampleRequest};
 use futures::stream;
 use tonic::{Code, Request};
 use tonic_health::pb::HealthCheckRequest;

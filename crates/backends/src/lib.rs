@@ -1,0 +1,13 @@
+//! Runtimes behind [`densecloud_cascade::Backend`], and the files of a model.
+//!
+//! [`OnnxBackend`] runs a [`Model`] on ONNX Runtime, with kernels of our own for what costs most.
+
+mod library;
+mod model;
+mod onnx;
+mod operators;
+
+pub use model::{Card, Model, ModelName, UnitFile};
+pub use onnx::OnnxBackend;
+
+use densecloud_cascade::{Backend, BackendError, Batch, Output, SKIP_NEIGHBOURS, Session, UnitShape};

@@ -1,0 +1,205 @@
+//! Points with nothing around them: kept as they are, and nothing is made of them.
+//!
+//! A unit sees neighbours. A lone point's neighbours are far off, on a surface that is not its own, so what the unit
+//! makes of it lies somewhere between; the next level takes that for a surface; and farthest point sampling, which
+//! chooses what is far from everything, prefers it all to the scan: of each lone point came a cloud of them.
+
+use rayon::prelude::*;
+
+use densecloud_cloud::Point;
+use densecloud_geometry::{KdTree, Plane, Walk, farthest_point_sampling};
+
+/// Others around a point that its spacing is the mean distance to.
+const AROUND: usize = 8;
+/// A group of no more than this is no surface: the distance to the nearest beyond it is what counts.
+const GROUP: usize = 4;
+/// A point is alone where that distance is more than this many times the spacing of those around it, of which the
+/// [`LOW`]th counts, from the least: others may be alone, too. On a surface it is below 2 in an even and a random sample, and
+/// at a border; in thin spots beside dense ones, which scans have, up to 4.
+const ALONE: f32 = 5.0;
+const LOW: usize = 2;
+/// Points with a spacing so many times the cloud's usual one may be outliers too many to stand out from each other.
+const SPARSE: f32 = 6.0;
+/// They are, if they lie in no sheet: the share of their variance that is across it. Of a sheet, even a noisy one, it is
+/// below 0.03; of points spread over a volume about 0.15.
+const ACROSS: f64 = 0.05;
+/// Neighbours that this is measured with.
+const SHEET: usize = 16;
+/// What was hidden behind other outliers shows when those are gone.
+const PASSES: usize = 3;
+
+/// A cloud, parted into what lies on surfaces and what lies alone.
+pub(super) struct Parted {
+    /// In the given order.
+    pub(super) together: Vec<Point>,
+    /// Spread ever more evenly, as by farthest point sampling.
+    pub(super) apart: Vec<Point>,
+}
+
+impl Parted {
+    /// `points` must be distinct. Where fewer than `least` would be together, all are. O(n log n).
+    pub(super) fn of(points: Vec<Point>, least: usize) -> Self {
+        let mut together = points;
+        let mut apart = Vec::new();
+        for _ in 0..PASSES {
+            let alone = alone(&together);
+            let count = alone.iter().filter(|alone| **alone).count();
+            if count == 0 || together.len() - count < least {
+                break;
+            }
+            let mut of = alone.iter();
+            together.retain(|p| {
+                let alone = *of.next().expect("one each");
+                if alone {
+                    apart.push(*p);
+                }
+                !alone
+            });
+        }
+        let order = farthest_point_sampling(&apart, apart.len(), 0);
+        Self { together, apart: order.iter().map(|&i| apart[i as usize]).collect() }
+    }
+}
+
+/// `dense` with the points that lie `apart` strewn among them: any prefix has its share of both.
+pub(super) fn joined(dense: Vec<Point>, apart: &[Point]) -> Vec<Point> {
+    let (each, count) = (dense.len(), apart.len());
+    let mut joined = Vec::with_capacity(each + count);
+    let mut left = dense.into_iter();
+    for (i, &point) in apart.iter().enumerate() {
+        let before = (2 * i + 1) * each / (2 * count);
+        joined.extend(left.by_ref().take(before + i - joined.len()));
+        joined.push(point);
+    }
+    joined.extend(left);
+    joined
+}
+
+/// Which of `points` lie alone.
+fn alone(points: &[Point]) -> Vec<bool> {
+    if points.len() <= AROUND {
+        return vec![false; points.len()];
+    }
+    let tree = KdTree::new(points);
+    let surroundings = |walk: &mut Walk, &i: &u32| {
+        tree.nearest_next(points[i as usize], AROUND + 1, walk);
+        let distance = |k: usize| walk.found[k].distance_squared.sqrt();
+        let around = std::array::from_fn::<u32, AROUND, _>(|k| walk.found[k + 1].index);
+        ((1..=AROUND).map(distance).sum::<f32>() / AROUND as f32, distance(GROUP), around)
+    };
+    let in_order: Vec<_> = tree.order().par_iter().map_init(Walk::default, surroundings).collect();
+    let mut spacings = vec![0.0; points.len()];
+    for (&i, found) in tree.order().iter().zip(&in_order) {
+        spacings[i as usize] = found.0;
+    }
+    let usual = nth(&mut spacings.clone(), points.len() / 2);
+    let is_alone = |walk: &mut Walk, (&i, (spacing, group, around)): (&u32, &(f32, f32, [u32; AROUND]))| {
+        if *group > ALONE * nth(&mut around.map(|j| spacings[j as usize]), LOW) {
+            return true;
+        }
+        if *spacing <= SPARSE * usual {
+            return false;
+        }
+        tree.nearest_next(points[i as usize], SHEET + 1, walk);
+        let variances = Plane::fit(points, &walk.found).variances;
+        variances[0] > ACROSS * variances.iter().sum::<f64>()
+    };
+    let found: Vec<bool> = tree.order().par_iter().zip(&in_order).map_init(Walk::default, is_alone).collect();
+    let mut alone = vec![false; points.len()];
+    for (&i, found) in tree.order().iter().zip(found) {
+        alone[i as usize] = found;
+    }
+    alone
+}
+
+/// The `n`th least, from 0.
+fn nth(values: &mut [f32], n: usize) -> f32 {
+    *values.select_nth_unstable_by(n, f32::total_cmp).1
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use densecloud_geometry::Rng;
+
+    /// A unit square with so many points, even or random.
+    fn square(n: usize, even: bool, random: &mut Rng) -> Vec<Point> {
+        let many = if even { 8 * n } else { n };
+        let all: Vec<Point> = (0..many).map(|_| [random.f64() as f32, random.f64() as f32, 0.0]).collect();
+        farthest_point_sampling(&all, n, 0).iter().map(|&i| all[i as usize]).collect()
+    }
+
+    fn apart(points: &[Point]) -> Vec<Point> {
+        let mut apart = Parted::of(points.to_vec(), 17).apart;
+        apart.sort_by(|a, b| a.partial_cmp(b).expect("finite"));
+        apart
+    }
+
+    #[test]
+    fn nothing_on_a_surface_is_apart_however_it_was_sampled() {
+        for seed in 0..20 {
+            let mut random = Rng::new(seed);
+            for even in [true, false] {
+                assert_eq!(apart(&square(1000, even, &mut random)), [] as [Point; 0], "{even}");
+            }
+            // A tenth of the density on the right, beside it, and noise of half a spacing.
+            let mut uneven: Vec<Point> = square(2000, false, &mut random);
+            uneven.extend(square(200, false, &mut random).iter().map(|p| [p[0] + 1.0, p[1], 0.0]));
+            uneven.iter_mut().for_each(|p| p[2] += 0.01 * random.normal() as f32);
+            let found = apart(&uneven).len();
+            assert!(found <= 2, "{found} of a surface");
+            // Lines of a scanner: ten times as dense along as across.
+            let lines: Vec<Point> =
+                (0..2000).map(|i| [(i % 100) as f32 * 0.01, (i / 100) as f32 * 0.1, 0.0]).collect();
+            assert_eq!(apart(&lines).len(), 0);
+        }
+    }
+
+    #[test]
+    fn outliers_are_apart_whether_few_or_many() {
+        for count in [1_usize, 3, 30, 200] {
+            let mut random = Rng::new(count as u64);
+            let mut points = square(2000, true, &mut random);
+            // The spacing is 0.022; outliers are at least 0.2 above or below.
+            let outliers: Vec<Point> = (0..count)
+                .map(|_| {
+                    let side = if random.f64() < 0.5 { -1.0 } else { 1.0 };
+                    [random.f64() as f32, random.f64() as f32, side * (0.2 + 0.8 * random.f64() as f32)]
+                })
+                .collect();
+            points.extend(&outliers);
+            let found = apart(&points);
+            assert!(found.iter().all(|p| p[2] != 0.0), "of the surface");
+            assert!(found.len() * 10 >= count * 9, "{} of {count}", found.len());
+        }
+    }
+
+    #[test]
+    fn a_group_is_apart_as_long_as_it_is_no_surface() {
+        for (size, expected) in [(2, true), (4, true), (9, false), (50, false)] {
+            let mut points = square(1000, true, &mut Rng::new(2));
+            points.extend((0..size).map(|i| [(i % 7) as f32 * 0.03, (i / 7) as f32 * 0.03, 1.0]));
+            assert_eq!(apart(&points).len(), if expected { size } else { 0 }, "{size}");
+        }
+    }
+
+    #[test]
+    fn enough_points_stay_together() {
+        let mut points = square(20, true, &mut Rng::new(3));
+        points.push([0.0, 0.0, 50.0]);
+        assert_eq!(Parted::of(points.clone(), 20).apart.len(), 1);
+        assert_eq!(Parted::of(points, 21).apart.len(), 0);
+        let line: Vec<Point> = (0..5).map(|i| [(i * i * i) as f32, 0.0, 0.0]).collect();
+        assert_eq!(Parted::of(line, 1).together.len(), 5);
+    }
+
+    #[test]
+    fn each_prefix_has_its_share_of_those_apart() {
+        let dense: Vec<Point> = (0..10).map(|i| [i as f32, 0.0, 0.0]).collect();
+        let lone = [[-1.0; 3], [-2.0; 3]];
+        let order: Vec<f32> = joined(dense.clone(), &lone).iter().map(|p| p[0]).collect();
+        assert_eq!(order, [0.0, 1.0, -1.0, 2.0, 3.0, 4.0, 5.0, 6.0, -2.0, 7.0, 8.0, 9.0]);
+        assert_eq!(joined(dense.clone(), &[]), dense);
+        assert_eq!(joined(vec![], &lone), lone);
+    }
+}

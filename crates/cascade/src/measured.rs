@@ -1,0 +1,93 @@
+//! The cascade's input, as what is made of it is measured against.
+
+use rayon::prelude::*;
+
+use super::border::Borders;
+use super::strays::Made;
+use densecloud_cloud::Point;
+use densecloud_geometry::{KdTree, Neighbour, Walk};
+
+/// Others around each input point: no point must lie beyond all of them.
+const AROUND: usize = 8;
+
+/// The cascade's input, as what every later point is measured against.
+///
+/// A limit on displacement alone lets strays through: a stray is far from everything, so the next
+/// level grants it a wide spacing and lets its copies stray further.
+pub(super) struct Measured {
+    pub(super) tree: KdTree,
+    pub(super) points: Vec<Point>,
+    /// Mean distance of each point to its nearest others.
+    pub(super) spacing: Vec<f32>,
+    pub(super) borders: Borders,
+    /// One row for each point: see [`Measured::around`].
+    neighbours: Vec<u32>,
+}
+
+impl Measured {
+    /// `spacing` of each of `points`.
+    pub(super) fn new(points: &[Point], spacing: Vec<f32>) -> Self {
+        let tree = KdTree::new(points);
+        let row = AROUND.min(points.len().saturating_sub(1));
+        let mut neighbours = vec![0; row * points.len()];
+        if row > 0 {
+            let find = |found: &mut Vec<_>, (i, row): (usize, &mut [u32])| {
+                // Of points that coincide, the point itself need not come first.
+                tree.nearest(points[i], row.len() + 1, found);
+                let others = found.iter().map(|n| n.index).filter(|&j| j as usize != i);
+                row.iter_mut().zip(others).for_each(|(place, j)| *place = j);
+            };
+            neighbours.par_chunks_exact_mut(row).enumerate().for_each_init(Vec::new, find);
+        }
+        let points = points.to_vec();
+        let mut measured = Self { tree, points, spacing, borders: Borders::default(), neighbours };
+        measured.borders = Borders::of(&measured);
+        measured
+    }
+
+    /// An input point's nearest others, nearest first; fewer than [`AROUND`] where there are no more.
+    pub(super) fn around(&self, i: u32) -> &[u32] {
+        let row = self.neighbours.len() / self.points.len();
+        &self.neighbours[i as usize * row..][..row]
+    }
+
+    /// How far `p` lies beyond the input points nearest to it, seen from their centroid, in the spacing of
+    /// `i`, the nearest: negative among them, positive past an open border or a tip. The lesser of two: beyond
+    /// those around `i`, which are known already and tell of most points that it is no more than is
+    /// `allowed`, and beyond the nearest to `p` itself, which in a wide gap lie on its far side, too.
+    pub(super) fn beyond(&self, p: Point, i: u32, allowed: f32, found: &mut Vec<Neighbour>) -> f32 {
+        let ring = [i].into_iter().chain(self.around(i).iter().copied());
+        let beyond = self.beyond_all(p, ring) / self.spacing[i as usize];
+        if beyond <= allowed {
+            return beyond;
+        }
+        self.tree.nearest(p, AROUND, found);
+        beyond.min(self.beyond_all(p, found.iter().map(|n| n.index)) / self.spacing[i as usize])
+    }
+
+    /// How far `p` lies beyond all of some input points, seen from their centroid.
+    fn beyond_all(&self, p: Point, near: impl Iterator<Item = u32> + Clone) -> f32 {
+        let near = near.map(|j| self.points[j as usize]);
+        let (sum, count) = near.clone().fold(([0.0; 3], 0.0), |(sum, count): (Point, f32), q| {
+            (std::array::from_fn(|a| sum[a] + q[a]), count + 1.0)
+        });
+        let outwards: Point = std::array::from_fn(|a| p[a] - sum[a] / count);
+        let past = |q: Point| (0..3).map(|a| (p[a] - q[a]) * outwards[a]).sum::<f32>();
+        let length = outwards.iter().map(|c| c * c).sum::<f32>().sqrt();
+        near.map(past).fold(f32::INFINITY, f32::min) / length.max(f32::MIN_POSITIVE)
+    }
+
+    /// For each point its distance to the nearest input point, in that one's spacing, and that one; NaN
+    /// where the point is not finite.
+    pub(super) fn distances(&self, made: &[Made]) -> Vec<(f32, u32)> {
+        let measure = |walk: &mut Walk, m: &Made| {
+            if !m.at.iter().all(|c| c.is_finite()) {
+                return (f32::NAN, 0);
+            }
+            self.tree.nearest_next(m.at, 1, walk);
+            let distance = |n: &Neighbour| n.distance_squared.sqrt() / self.spacing[n.index as usize];
+            walk.found.first().map_or((f32::NAN, 0), |n| (distance(n), n.index))
+        };
+        made.par_iter().map_init(Walk::default, measure).collect()
+    }
+}

@@ -1,0 +1,248 @@
+//! The patches of one level: which points each holds, and which patch owns each point.
+
+use rayon::prelude::*;
+
+use super::{CascadeError, Observer, Settings, Stage};
+use densecloud_cloud::Point;
+use densecloud_geometry::{KdTree, Neighbour, Rng, Walk, farthest_point_sampling};
+
+/// Neighbours that a point's spacing is measured to: the ring around it on an even surface, and some.
+const SPACING_NEIGHBOURS: usize = 8;
+
+/// Overlapping patches that cover a cloud.
+pub(super) struct Patches {
+    /// Points in every patch.
+    pub(super) size: usize,
+    /// `[H, size]` point indices, nearest to the seed first.
+    pub(super) members: Vec<u32>,
+    /// Places before this one are kept in every patch: see [`Patches::kept`].
+    inner: usize,
+    /// For each patch, the range of rows that its own points have in the feature table.
+    pub(super) row_starts: Vec<usize>,
+    /// For each point its row in the feature table. Rows of one owner follow each other, so that
+    /// each patch writes one run of the table and no two patches share a row.
+    pub(super) rows: Vec<u32>,
+    /// For each point the mean distance to its [`SPACING_NEIGHBOURS`] nearest others.
+    pub(super) spacing: Vec<f32>,
+    /// For each point, the patch that owns it.
+    owners: Vec<u32>,
+}
+
+impl Patches {
+    /// About `overlap * n / patch_size` patches of the `patch_size` nearest points to seeds chosen
+    /// by farthest point sampling, plus what it takes to cover every point. A cloud no larger than
+    /// a patch is one patch.
+    pub(super) fn cover(
+        points: &[Point],
+        patch_size: usize,
+        settings: &Settings,
+        random: &mut Rng,
+        level: usize,
+        observer: &dyn Observer,
+    ) -> Result<Self, CascadeError> {
+        let size = patch_size.min(points.len());
+        observer.begin(level, Stage::Seeds);
+        let seeds = if size == points.len() {
+            // More would be the same patch over again.
+            vec![0]
+        } else {
+            let count = (settings.overlap * points.len() as f64 / patch_size as f64).ceil() as usize;
+            let first = random.below(points.len() as u64) as usize;
+            farthest_point_sampling(points, count.clamp(1, points.len()), first)
+        };
+        if observer.cancelled() {
+            return Err(CascadeError::Cancelled);
+        }
+        observer.begin(level, Stage::Patches);
+        let tree = KdTree::new(points);
+        let mut members = vec![0; seeds.len() * size];
+        members.par_chunks_exact_mut(size).zip(&seeds).for_each_init(Vec::new, |found, (patch, &seed)| {
+            nearest(&tree, points[seed as usize], patch, found);
+        });
+        add_uncovered(points, &tree, size, &mut members);
+        let inner = (settings.inner * size as f64).ceil() as usize;
+        let spacing = spacing(points, &tree);
+        Ok(Self::own(spacing, size, inner, members))
+    }
+
+    /// How many there are.
+    pub(super) fn len(&self) -> usize {
+        self.row_starts.len() - 1
+    }
+
+    /// The points of patch `p`, nearest to its seed first.
+    pub(super) fn members(&self, p: usize) -> &[u32] {
+        &self.members[p * self.size..][..self.size]
+    }
+
+    /// Places in patch `p` of the points that it owns, in the order of their rows.
+    pub(super) fn owned(&self, p: usize) -> impl Iterator<Item = usize> {
+        let members = self.members(p).iter().enumerate();
+        members.filter(move |(_, i)| self.owners[**i as usize] == p as u32).map(|(place, _)| place)
+    }
+
+    /// Places in patch `p` whose outputs are merged: the inner share nearest to the seed, where the
+    /// unit sees neighbours on all sides, and those that the patch owns, so that every point is
+    /// kept somewhere.
+    pub(super) fn kept(&self, p: usize) -> impl Iterator<Item = usize> {
+        let members = self.members(p).iter().enumerate();
+        members
+            .filter(move |(place, i)| *place < self.inner || self.owners[**i as usize] == p as u32)
+            .map(|(place, _)| place)
+    }
+
+    /// A point belongs to the patch in which it lies most central: the one whose seed has it as the
+    /// earliest neighbour, the first such patch where several do.
+    fn own(spacing: Vec<f32>, size: usize, inner: usize, members: Vec<u32>) -> Self {
+        let points = spacing.len();
+        let mut owners = vec![0; points];
+        let mut places = vec![u32::MAX; points];
+        for (patch, members) in members.chunks_exact(size).enumerate() {
+            for (place, &i) in members.iter().enumerate() {
+                if (place as u32) < places[i as usize] {
+                    places[i as usize] = place as u32;
+                    owners[i as usize] = patch as u32;
+                }
+            }
+        }
+        let mut rows = vec![0; points];
+        let mut row_starts = vec![0];
+        let mut next = 0;
+        for (patch, members) in members.chunks_exact(size).enumerate() {
+            for &i in members {
+                if owners[i as usize] == patch as u32 {
+                    rows[i as usize] = next;
+                    next += 1;
+                }
+            }
+            row_starts.push(next as usize);
+        }
+        Self { size, members, inner, row_starts, rows, spacing, owners }
+    }
+}
+
+/// O(n log n), in the tree's order for the sake of caches.
+fn spacing(points: &[Point], tree: &KdTree) -> Vec<f32> {
+    let mean = |walk: &mut Walk, &i: &u32| {
+        tree.nearest_next(points[i as usize], SPACING_NEIGHBOURS + 1, walk);
+        let distances = walk.found.iter().map(|n| n.distance_squared.sqrt());
+        distances.sum::<f32>() / (walk.found.len() - 1) as f32
+    };
+    let in_order: Vec<f32> = tree.order().par_iter().map_init(Walk::default, mean).collect();
+    let mut spacing = vec![0.0; points.len()];
+    for (&i, value) in tree.order().iter().zip(in_order) {
+        spacing[i as usize] = value;
+    }
+    spacing
+}
+
+fn nearest(tree: &KdTree, centre: Point, patch: &mut [u32], found: &mut Vec<Neighbour>) {
+    tree.nearest(centre, patch.len(), found);
+    for (member, neighbour) in patch.iter_mut().zip(&*found) {
+        *member = neighbour.index;
+    }
+}
+
+/// Adds a patch around the first point that lies in none, until every point lies in one.
+fn add_uncovered(points: &[Point], tree: &KdTree, size: usize, members: &mut Vec<u32>) {
+    let mut covered = vec![false; points.len()];
+    for &i in &*members {
+        covered[i as usize] = true;
+    }
+    let mut found = Vec::new();
+    for i in 0..points.len() {
+        if covered[i] {
+            continue;
+        }
+        let start = members.len();
+        members.resize(start + size, 0);
+        nearest(tree, points[i], &mut members[start..], &mut found);
+        // Among more than `size` points in one place the seed itself may be crowded out.
+        if !members[start..].contains(&(i as u32)) {
+            members[start + size - 1] = i as u32;
+        }
+        for &j in &members[start..] {
+            covered[j as usize] = true;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Silent;
+
+    fn cloud(n: u64) -> Vec<Point> {
+        let mut random = Rng::new(n);
+        (0..n).map(|_| std::array::from_fn(|_| random.f64() as f32)).collect()
+    }
+
+    fn cover(points: &[Point], overlap: f64) -> Patches {
+        let settings = Settings { overlap, ..Settings::default() };
+        Patches::cover(points, 32, &settings, &mut Rng::new(1), 0, &Silent).unwrap()
+    }
+
+    #[test]
+    fn every_point_lies_in_a_patch_and_is_owned_once() {
+        for (n, overlap) in [(20, 3.0), (32, 3.0), (33, 3.0), (500, 1.0), (500, 3.0), (2000, 1.0)] {
+            let points = cloud(n);
+            let patches = cover(&points, overlap);
+            let mut rows: Vec<u32> = patches.rows.clone();
+            rows.sort_unstable();
+            assert!(rows.iter().copied().eq(0..n as u32), "rows are a permutation, n = {n}");
+            for p in 0..patches.len() {
+                let expected = patches.row_starts[p]..patches.row_starts[p + 1];
+                let found = patches.owned(p).map(|place| patches.rows[patches.members(p)[place] as usize]);
+                assert!(found.map(|r| r as usize).eq(expected));
+            }
+        }
+    }
+
+    #[test]
+    fn far_groups_are_covered_although_no_seed_falls_on_them() {
+        // With one patch a seed for 400 points only the dense group would be seen.
+        let mut points = cloud(400);
+        points.extend(cloud(5).iter().map(|p| p.map(|c| c + 50.0)));
+        let patches = cover(&points, 1.0);
+        for i in 0..points.len() as u32 {
+            assert!(patches.members.contains(&i), "point {i} lies in no patch");
+        }
+    }
+
+    #[test]
+    fn a_cloud_no_larger_than_a_patch_is_one_patch() {
+        for n in [9, 31, 32] {
+            let patches = cover(&cloud(n), 3.0);
+            assert_eq!((patches.len(), patches.size), (1, n as usize));
+        }
+    }
+
+    #[test]
+    fn what_is_kept_holds_every_point() {
+        let points = cloud(500);
+        for (inner, at_least) in [(0.0, 0), (0.5, 16), (1.0, 32)] {
+            let settings = Settings { inner, ..Settings::default() };
+            let patches = Patches::cover(&points, 32, &settings, &mut Rng::new(1), 0, &Silent).unwrap();
+            let mut seen = vec![false; points.len()];
+            for p in 0..patches.len() {
+                let kept: Vec<usize> = patches.kept(p).collect();
+                assert!(kept.iter().copied().take(at_least).eq(0..at_least), "the inner places are kept");
+                assert!(patches.owned(p).all(|place| kept.contains(&place)));
+                assert!(inner > 0.0 || patches.owned(p).eq(kept.iter().copied()), "nothing else is kept");
+                kept.iter().for_each(|&place| seen[patches.members(p)[place] as usize] = true);
+            }
+            assert!(seen.iter().all(|s| *s), "a point goes without, inner = {inner}");
+        }
+    }
+
+    #[test]
+    fn owners_are_the_most_central_patches() {
+        let points = cloud(300);
+        let patches = cover(&points, 3.0);
+        for i in 0..300_u32 {
+            let place = |p: usize| patches.members(p).iter().position(|&m| m == i);
+            let best = (0..patches.len()).filter_map(|p| Some((place(p)?, p))).min().unwrap();
+            assert_eq!(patches.owners[i as usize] as usize, best.1);
+        }
+    }
+}

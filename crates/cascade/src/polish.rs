@@ -1,0 +1,410 @@
+//! The last step, without learning: even coverage, and points on the surface they suggest.
+//!
+//! Farthest point sampling can only be as even as its candidates allow, and it prefers the
+//! candidates that stand off the surface. So the last level's sample is only the start: the
+//! midpoints of its neighbours, which average two errors and lie in its gaps, are sampled again
+//! (each region by the area of its surface), points that are too near push each other apart, and each
+//! is projected onto the moving least squares surface of all that the unit made, and drawn to the
+//! input where that is clean. Coarser levels go without: there a chord cuts a curve that the next
+//! unit would follow.
+
+use rayon::prelude::*;
+
+use super::anchors::Anchors;
+use super::balance::{SURPLUS, balanced};
+use super::measured::Measured;
+use super::{CascadeError, Observer};
+use densecloud_cloud::Point;
+use densecloud_geometry::{
+    KdTree, Neighbour, Reach, Rng, Walk, cell_area, farthest_point_sampling, normal, project_to_surface,
+};
+
+/// Neighbours that a point shares midpoints with: the ring around it, and some.
+const NEIGHBOURS: usize = 7;
+/// A noisy input point further than this from every midpoint, in its own spacing, is a tip that they
+/// fall short of. A clean one is a candidate wherever it lies: no midpoint is as exact.
+const SHORT: f32 = 0.5;
+/// Points of the sample whose midpoints are looked at for that.
+const AROUND: usize = 16;
+/// Neighbours that a normal is estimated from, the point itself among them.
+const NORMAL_NEIGHBOURS: usize = 12;
+/// How far beyond the points that the units made the surface is taken to reach, in the input's spacing, where there are
+/// as many of them as of input points; the denser they are, the less.
+const REACH: f32 = 0.9;
+/// What the units made lies in one sheet where it is no further from its tangent plane than this, in the input's spacing.
+const FLAT: f32 = 0.2;
+/// A midpoint is of one surface if the edge lies within 45 degrees of both tangent planes: this is
+/// the sine. Others bridge sheets or cut corners.
+const STEEPEST: f32 = 0.7;
+/// Steps of relaxation; more flatten what is thin and round what is sharp.
+const STEPS: usize = 2;
+/// Points push each other when they are nearer than this, in multiples of the usual distance.
+const WANTED: f32 = 1.1;
+/// The share of what lacks that one step makes up.
+const PUSH: f32 = 0.4;
+/// No step is longer than this share of the usual distance.
+const FARTHEST: f32 = 0.2;
+
+/// `size` points, spread evenly over what the unit `made`, ordered as by farthest point sampling.
+///
+/// `full` is the size of the level's output, from whose midpoints they are chosen: farthest point
+/// sampling thins out what exceeds it by more than a tenth. (Less is not worth its time: the midpoints
+/// are thinned out anyway.)
+pub(super) fn polish(
+    made: &[Point],
+    full: usize,
+    size: usize,
+    input: &Measured,
+    random: &mut Rng,
+    observer: &dyn Observer,
+) -> Result<Vec<Point>, CascadeError> {
+    let go_on = || if observer.cancelled() { Err(CascadeError::Cancelled) } else { Ok(()) };
+
+    // From here on neighbours in space are neighbours in memory.
+    let (tree, made) = KdTree::in_order(made);
+    let anchors = Anchors::new(input, &made, &tree);
+    let Candidates { points: candidates, areas } = if made.len() > full + full / 10 {
+        let first = random.below(made.len() as u64) as usize;
+        let mut kept = farthest_point_sampling(&made, full, first);
+        kept.par_sort_unstable();
+        let sample: Vec<Point> = kept.iter().map(|&i| made[i as usize]).collect();
+        Candidates::of(&KdTree::new(&sample), &sample, size, input, anchors.trust)
+    } else {
+        Candidates::of(&tree, &made, size, input, anchors.trust)
+    };
+    go_on()?;
+    let first = random.below(candidates.len() as u64) as usize;
+    let count = ((SURPLUS * size as f64) as usize).min(candidates.len());
+    let sampled = farthest_point_sampling(&candidates, count, first);
+    let order = balanced(&candidates, &sampled, size, input, &areas, anchors.trust);
+
+    let mut chosen = order.clone();
+    chosen.par_sort_unstable();
+    let mut dense: Vec<Point> = chosen.par_iter().map(|&i| candidates[i as usize]).collect();
+    go_on()?;
+    relax(&mut dense);
+    go_on()?;
+    project_to_surface(&mut dense, &made, &tree);
+    anchors.draw(&mut dense);
+
+    let mut place_of = vec![0; candidates.len()];
+    chosen.iter().zip(0_u32..).for_each(|(&i, place)| place_of[i as usize] = place);
+    Ok(order.par_iter().map(|&i| dense[place_of[i as usize] as usize]).collect())
+}
+
+/// What the result is chosen from.
+struct Candidates {
+    /// Midpoints of the sample, and the input points that they fall short of, which are the more, the more the input
+    /// is to be trusted.
+    points: Vec<Point>,
+    /// For each input point, the area of the surface that is nearest to it.
+    areas: Vec<f32>,
+}
+
+impl Candidates {
+    /// `tree` must be built from `sample`.
+    fn of(tree: &KdTree, sample: &[Point], size: usize, input: &Measured, trust: f32) -> Self {
+        let reach = REACH * (input.points.len() as f32 / sample.len() as f32).sqrt();
+        let cell = |i: usize, near: &[Neighbour], normal| {
+            let nearest = input.tree.nearest_one(sample[i]).map_or(0, |n| n.index);
+            let spacing = input.spacing[nearest as usize];
+            let radius = reach * spacing;
+            let reach = Reach { radius, past: input.borders.past(nearest) * radius, flat: FLAT * spacing };
+            (nearest, cell_area(sample, i, near, normal, reach))
+        };
+        let (rings, cells) = surroundings(tree, sample, cell);
+        let mut areas = vec![0.0; input.points.len()];
+        cells.iter().for_each(|&(nearest, area)| areas[nearest as usize] += area);
+        let mut points = midpoints(sample, &rings);
+        let too_few = points.len() < size;
+        if too_few {
+            points.extend_from_slice(sample);
+        }
+        let short = SHORT * (1.0 - trust);
+        points.extend(fallen_short_of(tree, sample, &rings, too_few, input, short));
+        if points.len() < size {
+            // All is rough: whatever lies between neighbours, which is at least 3.5 times the sample.
+            points.extend(midpoints(sample, &nearest_rings(tree, sample)));
+        }
+        Self { points, areas }
+    }
+}
+
+/// The nearest others of a point that lie on the same surface.
+#[derive(Clone, Copy, Default)]
+struct Ring {
+    others: [u32; NEIGHBOURS],
+    count: u8,
+}
+
+impl Ring {
+    /// The nearest to point `i` among those `found`, nearest first, whatever surface they lie on.
+    fn of(i: usize, found: &[Neighbour]) -> Self {
+        let mut ring = Self::default();
+        for n in found.iter().filter(|n| n.index as usize != i).take(NEIGHBOURS) {
+            ring.others[usize::from(ring.count)] = n.index;
+            ring.count += 1;
+        }
+        ring
+    }
+
+    fn others(&self) -> &[u32] {
+        &self.others[..usize::from(self.count)]
+    }
+}
+
+/// The ring of each of `points`, of which `tree` is built; best when they lie in the order of a tree.
+fn rings(tree: &KdTree, points: &[Point]) -> Vec<Ring> {
+    surroundings(tree, points, |_, _, _| ()).0
+}
+
+/// The nearest others of each of `points`, of which `tree` is built, on whatever surface they lie.
+fn nearest_rings(tree: &KdTree, points: &[Point]) -> Vec<Ring> {
+    let ring = |found: &mut Vec<Neighbour>, (i, p): (usize, &Point)| {
+        tree.nearest(*p, NEIGHBOURS + 1, found);
+        Ring::of(i, found)
+    };
+    points.par_iter().enumerate().map_init(Vec::new, ring).collect()
+}
+
+/// The rings, and whatever is wanted of each point's nearest (itself among them) and normal.
+fn surroundings<T: Clone + Default + Send>(
+    tree: &KdTree,
+    points: &[Point],
+    of: impl Fn(usize, &[Neighbour], [f32; 3]) -> T + Sync,
+) -> (Vec<Ring>, Vec<T>) {
+    let mut rings = vec![Ring::default(); points.len()];
+    let mut normals = vec![[0.0; 3]; points.len()];
+    let mut wanted = vec![T::default(); points.len()];
+    let all = rings.par_iter_mut().zip(&mut normals).zip(&mut wanted).enumerate();
+    all.for_each_init(Walk::default, |walk, (i, ((ring, normal_of), wanted))| {
+        tree.nearest_next(points[i], NORMAL_NEIGHBOURS, walk);
+        let found = &walk.found;
+        *ring = Ring::of(i, found);
+        *normal_of = normal(points, found);
+        *wanted = of(i, found, *normal_of);
+    });
+    rings.par_iter_mut().enumerate().for_each(|(i, ring)| {
+        let all = *ring;
+        ring.count = 0;
+        for &j in all.others() {
+            let edge: [f32; 3] = std::array::from_fn(|a| points[j as usize][a] - points[i][a]);
+            let length = edge.iter().map(|c| c * c).sum::<f32>().sqrt();
+            let steep = |n: [f32; 3]| (0..3).map(|a| n[a] * edge[a]).sum::<f32>().abs() > STEEPEST * length;
+            if !steep(normals[i]) && !steep(normals[j as usize]) {
+                ring.others[usize::from(ring.count)] = j;
+                ring.count += 1;
+            }
+        }
+    });
+    (rings, wanted)
+}
+
+/// Pushes points apart that are nearer to each other than is usual around them: what farthest
+/// point sampling leaves uneven. The neighbours are found once, since points move little.
+fn relax(points: &mut [Point]) {
+    let rings = rings(&KdTree::new(points), points);
+    for _ in 0..STEPS {
+        let before = points.to_vec();
+        let distance = |i: usize, j: u32| {
+            let (p, q) = (before[i], before[j as usize]);
+            (0..3).map(|a| (p[a] - q[a]).powi(2)).sum::<f32>().sqrt()
+        };
+        let nearest: Vec<f32> = rings
+            .par_iter()
+            .enumerate()
+            .map(|(i, ring)| ring.others().iter().map(|&j| distance(i, j)).fold(f32::INFINITY, f32::min))
+            .collect();
+        points.par_iter_mut().zip(&rings).enumerate().for_each(|(i, (point, ring))| {
+            // A neighbour on a steep spot may have no neighbours of its own.
+            let known = ring.others().iter().map(|&j| nearest[j as usize]).filter(|d| d.is_finite());
+            let (count, sum) = known.fold((0.0, 0.0), |(count, sum), d| (count + 1.0_f32, sum + d));
+            if count == 0.0 {
+                return;
+            }
+            let usual = sum / count;
+            let wanted = WANTED * usual;
+            let mut push = [0.0; 3];
+            for &j in ring.others() {
+                let length = distance(i, j);
+                if length < wanted && length > 0.0 {
+                    let by = PUSH * (wanted - length) / length;
+                    for a in 0..3 {
+                        push[a] += by * (before[i][a] - before[j as usize][a]);
+                    }
+                }
+            }
+            let moved = push.iter().map(|c| c * c).sum::<f32>().sqrt();
+            let share = (FARTHEST * usual / moved.max(f32::MIN_POSITIVE)).min(1.0);
+            for a in 0..3 {
+                point[a] += share * push[a];
+            }
+        });
+    }
+}
+
+/// The input points that no midpoint comes nearer to than `short` of their spacing (nor a point of the
+/// sample, where those are candidates `too`): what was measured must not vanish. Looks at the midpoints
+/// of the nearest points only.
+fn fallen_short_of(
+    tree: &KdTree,
+    sample: &[Point],
+    rings: &[Ring],
+    too: bool,
+    input: &Measured,
+    short: f32,
+) -> Vec<Point> {
+    let far = |found: &mut Vec<Neighbour>, (p, spacing): (&Point, &f32)| {
+        let limit = (short * spacing).powi(2);
+        let near = |q: Point| (0..3).map(|a| (q[a] - p[a]).powi(2)).sum::<f32>() <= limit;
+        tree.nearest(*p, AROUND, found);
+        let reached = found.iter().any(|n| {
+            let q = sample[n.index as usize];
+            too && near(q)
+                || rings[n.index as usize].others().iter().any(|&j| near(middle(q, sample[j as usize])))
+        });
+        (!reached).then_some(*p)
+    };
+    input.points.par_iter().zip(&input.spacing).map_init(Vec::new, far).flatten_iter().collect()
+}
+
+fn middle(p: Point, q: Point) -> Point {
+    std::array::from_fn(|a| 0.5 * (p[a] + q[a]))
+}
+
+/// Of every point and its ring; each pair once.
+fn midpoints(points: &[Point], rings: &[Ring]) -> Vec<Point> {
+    let of = |i: usize| {
+        let others = rings[i].others().iter().map(|&j| j as usize);
+        let first = others.filter(move |&j| i < j || !rings[j].others().contains(&(i as u32)));
+        first.map(move |j| middle(points[i], points[j]))
+    };
+    (0..points.len()).into_par_iter().flat_map_iter(of).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Silent;
+
+    /// A square of unit side, at some height.
+    fn square(n: u64, height: f32, seed: u64) -> Vec<Point> {
+        let mut random = Rng::new(seed);
+        (0..n).map(|_| [random.f64() as f32, random.f64() as f32, height]).collect()
+    }
+
+    fn all_midpoints(points: &[Point]) -> Vec<Point> {
+        midpoints(points, &rings(&KdTree::new(points), points))
+    }
+
+    /// Coefficient of variation of nearest-neighbour distances.
+    fn variation(points: &[Point]) -> f64 {
+        let tree = KdTree::new(points);
+        let mut found = Vec::new();
+        let distances: Vec<f64> = points
+            .iter()
+            .map(|&p| {
+                tree.nearest(p, 2, &mut found);
+                f64::from(found[1].distance_squared).sqrt()
+            })
+            .collect();
+        let mean = distances.iter().sum::<f64>() / distances.len() as f64;
+        let square = distances.iter().map(|d| (d - mean).powi(2)).sum::<f64>() / distances.len() as f64;
+        square.sqrt() / mean
+    }
+
+    #[test]
+    fn the_result_is_more_even_than_the_sample_and_stays_on_the_surface() {
+        let made = square(3000, 0.5, 1);
+        let sample: Vec<Point> =
+            farthest_point_sampling(&made, 2000, 0).iter().map(|&i| made[i as usize]).collect();
+        let input = Measured::new(&sample[..500], vec![0.05; 500]);
+        let dense = polish(&made, 2000, 2000, &input, &mut Rng::new(5), &Silent).unwrap();
+        assert_eq!(dense.len(), 2000);
+        assert!(dense.iter().all(|p| (p[2] - 0.5).abs() < 1e-6));
+        let (before, after) = (variation(&sample), variation(&dense));
+        assert!(after < 0.4 * before, "{after} from {before}");
+    }
+
+    #[test]
+    fn a_tip_of_one_point_keeps_its_reach() {
+        let made = square(3000, 0.5, 1);
+        let sample: Vec<Point> =
+            farthest_point_sampling(&made, 2000, 0).iter().map(|&i| made[i as usize]).collect();
+        let mut measured = sample[..500].to_vec();
+        measured.push([0.5, 1.06, 0.5]);
+        let input = Measured::new(&measured, vec![0.05; 501]);
+        let dense = polish(&made, 2000, 2000, &input, &mut Rng::new(5), &Silent).unwrap();
+        assert!(dense.iter().any(|p| p[1] > 1.04), "nothing near the tip");
+    }
+
+    #[test]
+    fn what_lies_on_no_surface_gives_the_size_too() {
+        for n in [20_u64, 60, 300] {
+            let mut random = Rng::new(n);
+            let made: Vec<Point> = (0..n).map(|_| std::array::from_fn(|_| random.f64() as f32)).collect();
+            let input = Measured::new(&made, vec![0.1; made.len()]);
+            // Edges at any angle to any normal: few midpoints are of one surface.
+            for size in [2 * made.len(), 3 * made.len()] {
+                let dense = polish(&made, size, size, &input, &mut Rng::new(5), &Silent).unwrap();
+                assert_eq!(dense.len(), size);
+            }
+        }
+    }
+
+    #[test]
+    fn sheets_are_not_bridged() {
+        // Sheets 0.035 apart: with a spacing of 0.022 that is nearer than some neighbours in a
+        // sheet. What is left are edges of less than 45 degrees.
+        let even = |height: f32, seed| -> Vec<Point> {
+            let all = square(8000, height, seed);
+            farthest_point_sampling(&all, 2000, 0).iter().map(|&i| all[i as usize]).collect()
+        };
+        let (mut points, other) = (even(0.0, 1), even(0.035, 2));
+        points.extend(other);
+        let middles = all_midpoints(&points);
+        let between = middles.iter().filter(|p| (0.01..0.025).contains(&p[2])).count();
+        assert!(between * 40 < middles.len(), "{between} of {} between the sheets", middles.len());
+    }
+
+    #[test]
+    fn input_points_share_the_area_of_the_surface() {
+        // A square of area 1, half as dense on its right half; both clouds are thinned out, and have points on the border.
+        let thinned = |from: u64, to: usize, seed| -> Vec<Point> {
+            let all = square(from, 0.5, seed);
+            farthest_point_sampling(&all, to, 0).iter().map(|&i| all[i as usize]).collect()
+        };
+        let points: Vec<Point> = thinned(20_000, 6000, 1)
+            .into_iter()
+            .enumerate()
+            .filter(|(i, p)| p[0] < 0.5 || *i < 3000)
+            .map(|(_, p)| p)
+            .collect();
+        let even = thinned(8000, 400, 2);
+        let (tree, made) = KdTree::in_order(&points);
+        let input = Measured::new(&even, vec![0.06; 400]);
+        let areas = Candidates::of(&tree, &made, made.len(), &input, 1.0).areas;
+        let whole: f32 = areas.iter().sum();
+        assert!((0.93..1.1).contains(&whole), "{whole}");
+        let right: f32 = even.iter().zip(&areas).filter(|(p, _)| p[0] > 0.5).map(|(_, area)| area).sum();
+        assert!((right / whole - 0.5).abs() < 0.03, "{right} of {whole} on the right");
+    }
+
+    #[test]
+    fn every_pair_comes_once() {
+        let points = square(60, 0.0, 4);
+        let mut middles: Vec<[u32; 3]> = all_midpoints(&points).iter().map(|p| p.map(f32::to_bits)).collect();
+        let count = middles.len();
+        assert!((60 * 7 / 2..=60 * 7).contains(&count), "{count} pairs");
+        middles.sort_unstable();
+        middles.dedup();
+        assert_eq!(middles.len(), count);
+    }
+
+    #[test]
+    fn too_few_midpoints_are_made_up_for() {
+        let points = vec![[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
+        let input = Measured::new(&points, vec![1.0; 3]);
+        assert_eq!(polish(&points, 5, 5, &input, &mut Rng::new(1), &Silent).unwrap().len(), 5);
+    }
+}

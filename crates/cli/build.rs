@@ -1,0 +1,47 @@
+//! Puts ONNX Runtime's library beside the program, and fetches it when it is missing, so that plain `cargo run` and
+//! `cargo test` work in a fresh checkout.
+
+use std::io;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+const NAME: &str = "libonnxruntime.so";
+
+fn main() {
+    let root = Path::new("../..");
+    let vendor = root.join("vendor/onnxruntime");
+    let script = root.join("scripts/fetch-onnxruntime.sh");
+    println!("cargo::rerun-if-changed={}", script.display());
+    println!("cargo::rerun-if-changed={}", vendor.display());
+    println!("cargo::rerun-if-env-changed=ORT_DYLIB_PATH");
+    // Building does not need the library, so a failure to get it must not stop the build.
+    if let Err(why) = fetch(&script, &vendor).and_then(|()| put_beside_program(&vendor.join(NAME))) {
+        println!("cargo::warning=ONNX Runtime was not fetched ({why}); set ORT_DYLIB_PATH before running");
+    }
+}
+
+/// Fetches the library into the checkout, unless it is there.
+fn fetch(script: &Path, vendor: &Path) -> io::Result<()> {
+    if vendor.join(NAME).exists() {
+        return Ok(());
+    }
+    let output = Command::new("sh").arg(script).output()?;
+    if output.status.success() {
+        return Ok(());
+    }
+    Err(io::Error::other(String::from_utf8_lossy(&output.stderr).trim().replace('\n', "; ")))
+}
+
+/// The program looks for the library in its own folder, three above this script's own.
+fn put_beside_program(library: &Path) -> io::Result<()> {
+    let out = PathBuf::from(std::env::var_os("OUT_DIR").ok_or_else(|| io::Error::other("no OUT_DIR"))?);
+    let folder = out.ancestors().nth(3).ok_or_else(|| io::Error::other("OUT_DIR is no folder of cargo's"))?;
+    let beside = folder.join(NAME);
+    if let Err(error) = std::fs::remove_file(&beside)
+        && error.kind() != io::ErrorKind::NotFound
+    {
+        return Err(error);
+    }
+    let library = library.canonicalize()?;
+    std::fs::hard_link(&library, &beside).or_else(|_| std::fs::copy(&library, &beside).map(drop))
+}

@@ -1,0 +1,59 @@
+//! Options of every command that runs the cascade.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Duration;
+
+use clap::Args;
+
+use super::CliError;
+use densecloud_backends::{Model, OnnxBackend};
+use densecloud_engine::{Engine, EngineConfig};
+
+/// Which model, on how many threads.
+#[derive(Debug, Clone, Args)]
+pub(super) struct EngineArgs {
+    /// Worker threads [default: one a processor]
+    #[arg(
+        long,
+        env = "DENSECLOUD_THREADS",
+        value_name = "N",
+        default_value_t = 0,
+        hide_default_value = true
+    )]
+    pub(super) threads: usize,
+
+    /// Folder of another model than the one inside the program (model.toml and its unit files)
+    #[arg(long, env = "DENSECLOUD_MODEL", value_name = "DIR")]
+    pub(super) model: Option<PathBuf>,
+}
+
+impl EngineArgs {
+    /// Reads the model.
+    pub(super) fn model(&self) -> Result<Arc<Model>, CliError> {
+        let model = match &self.model {
+            Some(folder) => Model::load(folder),
+            None => Model::embedded(),
+        };
+        model.map(Arc::new).map_err(|e| CliError::Failed(e.to_string()))
+    }
+
+    /// Starts an engine for one request at a time.
+    pub(super) fn engine(&self, model: Arc<Model>) -> Result<Engine, CliError> {
+        let config = EngineConfig {
+            threads: self.threads,
+            concurrency: 1,
+            queue_points: u64::MAX,
+            queue_time: Duration::from_secs(u32::MAX.into()),
+            ..EngineConfig::default()
+        };
+        start(model, config)
+    }
+}
+
+/// Loads a model into ONNX Runtime, and starts an engine over it.
+pub(super) fn start(model: Arc<Model>, config: EngineConfig) -> Result<Engine, CliError> {
+    let backend = OnnxBackend::new(model);
+    let engine = backend.and_then(|backend| Engine::with_backend(Arc::new(backend), config));
+    engine.map_err(|e| CliError::Failed(e.to_string()))
+}

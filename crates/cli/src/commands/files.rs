@@ -1,0 +1,180 @@
+//! Files and standard streams as the commands name them: `-` is a standard stream.
+
+use std::fs::{self, File};
+use std::io::{self, BufReader, BufWriter, ErrorKind, Write};
+use std::path::{Path, PathBuf};
+
+use super::CliError;
+use densecloud_cloud::{Attribute, Cloud, Origin, Position};
+use densecloud_formats::{CloudReader, Format, Header, Limits, encode, read_cloud_file};
+
+pub(super) fn is_stream(path: &Path) -> bool {
+    path.as_os_str() == "-"
+}
+
+/// The path with `suffix` after its name.
+pub(super) fn beside(path: &Path, suffix: &str) -> PathBuf {
+    let mut name = path.as_os_str().to_owned();
+    name.push(suffix);
+    name.into()
+}
+
+/// Reads a cloud, `-` from standard input.
+pub(super) fn read_cloud(path: &Path) -> Result<(Cloud, Header), CliError> {
+    let read = if is_stream(path) {
+        CloudReader::open(BufReader::new(io::stdin().lock()), Limits::default()).and_then(|reader| {
+            let header = reader.header().clone();
+            Ok((reader.read()?, header))
+        })
+    } else {
+        read_cloud_file(path)
+    };
+    read.map_err(|why| CliError::file(path, why))
+}
+
+/// Writes a cloud, `-` to standard output.
+pub(super) fn write_cloud(
+    path: &Path,
+    format: Format,
+    positions: &[Position],
+    attributes: &[Attribute],
+    origin: &Origin,
+) -> Result<(), CliError> {
+    write(path, |sink| {
+        encode(sink, format, positions, attributes, origin)?;
+        Ok(())
+    })
+}
+
+/// Prints to standard output. A reader that has seen enough may close the pipe.
+pub(super) fn print(text: &str) -> Result<(), CliError> {
+    let mut stdout = io::stdout().lock();
+    match stdout.write_all(text.as_bytes()).and_then(|()| stdout.flush()) {
+        Err(why) if why.kind() != ErrorKind::BrokenPipe => Err(CliError::file("-", why)),
+        _ => Ok(()),
+    }
+}
+
+/// What the name of an output stands for.
+enum Output {
+    Stdout,
+    /// A file of this name, which need not be there yet.
+    File(PathBuf),
+    /// A device or a named pipe.
+    Device,
+}
+
+impl Output {
+    /// Follows links: what is written is what they lead to, and they stay.
+    fn of(path: &Path) -> io::Result<Self> {
+        // By its name, /dev/stdout is what it leads to; replaced as a file, that would lose what others wrote there.
+        if is_stream(path) || path == Path::new("/dev/stdout") {
+            return Ok(Self::Stdout);
+        }
+        match fs::metadata(path) {
+            Ok(there) if there.is_dir() => return Err(ErrorKind::IsADirectory.into()),
+            Ok(there) if !there.is_file() => return Ok(Self::Device),
+            Err(why) if why.kind() != ErrorKind::NotFound => return Err(why),
+            _ => {}
+        }
+        // Not `canonicalize`, which knows no link to what is not there yet.
+        let mut file = path.to_owned();
+        while let Ok(link) = fs::read_link(&file) {
+            file = file.parent().unwrap_or(Path::new("")).join(link);
+        }
+        Ok(Self::File(file))
+    }
+}
+
+/// Whether an output is a file, which another one may lie beside.
+pub(super) fn is_kept(path: &Path) -> bool {
+    matches!(Output::of(path), Ok(Output::File(_)))
+}
+
+/// Writes an output with `encode`, `-` to standard output. A file is made beside its name and renamed, so that no
+/// failure leaves half a file under that name; a device or a named pipe is written to as it is.
+pub(super) fn write(
+    path: &Path,
+    encode: impl FnOnce(&mut dyn Write) -> Result<(), Box<dyn std::error::Error>>,
+) -> Result<(), CliError> {
+    let unmade = |why: io::Error| CliError::file(path, why);
+    let through = |sink: &mut dyn Write| {
+        let mut sink = BufWriter::with_capacity(1 << 20, sink);
+        encode(&mut sink).and_then(|()| Ok(sink.flush()?)).map_err(|why| CliError::file(path, why))
+    };
+    let target = match Output::of(path).map_err(unmade)? {
+        Output::Stdout => return through(&mut io::stdout().lock()),
+        Output::Device => return through(&mut File::options().write(true).open(path).map_err(unmade)?),
+        Output::File(target) => target,
+    };
+    let part = beside(&target, ".part");
+    let mut file = File::create(&part).map_err(unmade)?;
+    let written = through(&mut file).and_then(|()| fs::rename(&part, &target).map_err(unmade));
+    // The first error is the one to report.
+    written.inspect_err(|_| drop(fs::remove_file(&part)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_failure_leaves_what_was_there() {
+        let dir = tempfile::tempdir().expect("a folder");
+        let path = dir.path().join("cloud.xyz");
+        write_cloud(&path, Format::TEXT, &[[1.0, 2.0, 3.0]], &[], &Origin::default()).expect("a file");
+        let failed = write(&path, |sink| {
+            sink.write_all(b"half")?;
+            Err("no more".into())
+        });
+        assert!(matches!(failed, Err(CliError::File { .. })));
+        assert_eq!(read_cloud(&path).expect("a cloud").0.positions, [[1.0, 2.0, 3.0]]);
+        assert_eq!(std::fs::read_dir(dir.path()).expect("a folder").count(), 1, "a part was left");
+    }
+
+    #[test]
+    fn a_link_stays_and_what_it_leads_to_is_written() {
+        let dir = tempfile::tempdir().expect("a folder");
+        std::fs::create_dir(dir.path().join("kept")).expect("a folder");
+        let (link, further) = (dir.path().join("link"), dir.path().join("kept/further"));
+        std::os::unix::fs::symlink("kept/further", &link).expect("a link");
+        std::os::unix::fs::symlink("cloud", &further).expect("a link");
+        // At first nothing is there.
+        for text in ["one", "another"] {
+            assert!(is_kept(&link));
+            write(&link, |sink| Ok(sink.write_all(text.as_bytes())?)).expect("a file");
+            assert_eq!(std::fs::read_to_string(dir.path().join("kept/cloud")).expect("a file"), text);
+        }
+        assert!(link.is_symlink() && further.is_symlink());
+        assert_eq!(
+            std::fs::read_dir(dir.path().join("kept")).expect("a folder").count(),
+            2,
+            "a part was left"
+        );
+    }
+
+    #[test]
+    fn a_named_pipe_is_written_to_and_stays() {
+        use std::os::unix::fs::FileTypeExt;
+        let dir = tempfile::tempdir().expect("a folder");
+        let pipe = dir.path().join("pipe");
+        assert!(std::process::Command::new("mkfifo").arg(&pipe).status().expect("mkfifo").success());
+        assert!(!is_kept(&pipe) && !is_kept(Path::new("-")));
+        let reader = std::thread::spawn({
+            let pipe = pipe.clone();
+            move || std::fs::read_to_string(pipe)
+        });
+        write(&pipe, |sink| Ok(sink.write_all(b"points")?)).expect("a pipe");
+        // Before it is waited for: where the pipe has become a file, its reader waits for ever.
+        assert!(std::fs::metadata(&pipe).expect("a pipe").file_type().is_fifo());
+        assert_eq!(reader.join().expect("no panic").expect("text"), "points");
+        assert_eq!(std::fs::read_dir(dir.path()).expect("a folder").count(), 1);
+    }
+
+    #[test]
+    fn a_folder_is_no_output() {
+        let dir = tempfile::tempdir().expect("a folder");
+        let never = |_: &mut dyn Write| panic!("a folder was written to");
+        assert!(matches!(write(dir.path(), never), Err(CliError::File { .. })));
+    }
+}

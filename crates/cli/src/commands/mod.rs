@@ -1,0 +1,109 @@
+//! The command line: one file a command.
+//!
+//! Exit codes: 0 done, 1 the work failed, 64 the command or a setting was wrong (`EX_USAGE`).
+
+mod cascade_args;
+mod connection;
+mod engine_args;
+mod error;
+mod evaluate;
+mod files;
+mod inspect;
+mod job;
+mod memory;
+mod remote;
+mod render;
+mod sample;
+mod serve;
+mod serve_args;
+mod settings;
+mod upsample;
+mod upsample_remote;
+
+pub(crate) use error::CliError;
+
+use std::ffi::OsString;
+use std::io::{self, Write};
+use std::process::ExitCode;
+
+use clap::{ArgMatches, CommandFactory, FromArgMatches, Parser, Subcommand};
+use settings::Refused;
+
+/// Turns a sparse, noisy 3D point cloud into a dense one.
+#[derive(Debug, Parser)]
+#[command(
+    name = "densecloud",
+    version,
+    about,
+    arg_required_else_help = true,
+    after_help = "Exit codes: 0 done, 1 the work failed, 64 an argument or a setting is wrong."
+)]
+struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    Upsample(upsample::UpsampleArgs),
+    Inspect(inspect::InspectArgs),
+    Serve(serve_args::ServeArgs),
+    Job(job::JobArgs),
+    Evaluate(evaluate::EvaluateArgs),
+    Sample(sample::SampleArgs),
+    Render(render::RenderArgs),
+}
+
+/// Parses the arguments, runs the command, and says how it went.
+pub(crate) fn main() -> ExitCode {
+    let typed: Vec<OsString> = std::env::args_os().collect();
+    let (arguments, matches) = match parse(&typed) {
+        Ok(parsed) => parsed,
+        Err(Refused::Arguments(error, file)) => {
+            // Help and version go to stdout and are no failure; a closed pipe is nobody's concern.
+            let _ = error.print();
+            if let Some(file) = file.filter(|_| error.use_stderr()) {
+                let _ = writeln!(io::stderr(), "Some of these are in {}.", file.display());
+            }
+            return if error.use_stderr() { ExitCode::from(CliError::USAGE) } else { ExitCode::SUCCESS };
+        }
+        Err(Refused::File(error)) => return failed(&error),
+    };
+    match run(arguments.command, &matches) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => failed(&error),
+    }
+}
+
+fn parse(typed: &[OsString]) -> Result<(Arguments, ArgMatches), Refused> {
+    let mut command = Arguments::command();
+    let matches = settings::parse(&command, typed)?;
+    let arguments = Arguments::from_arg_matches(&matches).map_err(|error| error.format(&mut command))?;
+    Ok((arguments, matches))
+}
+
+fn failed(error: &CliError) -> ExitCode {
+    note(&error.to_string());
+    ExitCode::from(error.exit_code())
+}
+
+/// Says something on standard error. Where nobody can be told, the work goes on.
+fn note(text: &str) {
+    let _ = writeln!(io::stderr(), "densecloud: {text}");
+}
+
+fn run(command: Command, matches: &ArgMatches) -> Result<(), CliError> {
+    match command {
+        Command::Inspect(args) => inspect::run(&args),
+        Command::Render(args) => render::run(&args),
+        Command::Sample(args) => sample::run(&args),
+        Command::Upsample(args) => upsample::run(&args),
+        Command::Evaluate(args) => evaluate::run(&args),
+        Command::Serve(args) if args.prints_settings() => {
+            args.check()?;
+            files::print(&settings::page(&Arguments::command(), matches))
+        }
+        Command::Serve(args) => serve::run(&args),
+        Command::Job(args) => job::run(&args),
+    }
+}

@@ -1,0 +1,48 @@
+//! The point cloud as the rest of the library sees it: true coordinates, and the local frame in
+//! which all geometry is computed.
+
+mod attribute;
+mod frame;
+mod origin;
+
+pub use attribute::{Attribute, Kind, Values, bytes_a_point};
+pub use frame::{Frame, FrameError};
+pub use origin::{Column, Crs, LasExtra, LasOrigin, LasRecord, Origin, Table};
+
+/// A position in the local [`Frame`]: `f32`, within about [-1, 1] on each axis.
+pub type Point = [f32; 3];
+
+/// A position in the file's own coordinates and units.
+pub type Position = [f64; 3];
+
+/// A cloud as read from a file.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Cloud {
+    /// One entry a point, in the file's order and units. May hold non-finite values: see
+    /// [`crate::cascade`] for the rule about them.
+    pub positions: Vec<Position>,
+    /// What else the file tells of each point, in the file's order.
+    pub attributes: Vec<Attribute>,
+    /// Names of what the reader saw and did not keep (lists, text, arrays), in the file's order.
+    pub dropped_properties: Vec<String>,
+    /// What else the file tells of the whole.
+    pub origin: Origin,
+}
+
+/// A cloud of nothing but positions.
+impl From<Vec<Position>> for Cloud {
+    fn from(positions: Vec<Position>) -> Self {
+        Self { positions, ..Self::default() }
+    }
+}
+
+impl Cloud {
+    /// What a person should know about what was read, a sentence each.
+    #[must_use]
+    pub fn warnings(&self) -> Vec<String> {
+        if self.dropped_properties.is_empty() {
+            return Vec::new();
+        }
+        vec![format!("not read: {}", self.dropped_properties.join(", "))]
+    }
+}

@@ -1,0 +1,158 @@
+//! What a request costs: in points, in memory, and, by a model that is measured, in time.
+
+use std::time::Duration;
+
+use densecloud_cascade::Lane;
+
+/// The size of a request: all that its cost depends on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Cost {
+    /// Points in the input.
+    pub points_in: u64,
+    /// Points in the result.
+    pub points_out: u64,
+}
+
+/// Bytes that the cascade takes at its height for each point of its last level before that is sampled:
+/// merged points, trees and tables, and the skip features of the level before. Measured: 250 to 400
+/// (`BENCHMARKS.md`, "Many points"); with reserve.
+const BYTES_A_POINT: u64 = 512;
+/// Bytes that a request takes however small it is.
+const BYTES: u64 = 1 << 20;
+
+impl Cost {
+    /// Levels of the cascade: the fewest doublings that reach the points out, and at least one.
+    fn levels(self) -> u32 {
+        let ratio = self.points_out.div_ceil(self.points_in.max(1));
+        ratio.max(2).checked_next_power_of_two().map_or(63, u64::trailing_zeros)
+    }
+
+    /// Points that units read, over all levels: n, 2 n, 4 n, …
+    fn points_read(self) -> f64 {
+        self.points_in as f64 * (f64::from(self.levels()).exp2() - 1.0)
+    }
+
+    /// Memory that the work takes at its height, in bytes; the input and the result aside. An estimate
+    /// from above for clouds of some thousand points and more.
+    #[must_use]
+    pub fn memory(self) -> u64 {
+        let last = self.points_in.saturating_mul(1_u64 << self.levels().min(62)).max(self.points_out);
+        last.saturating_mul(BYTES_A_POINT).saturating_add(BYTES)
+    }
+
+    pub(super) fn lane(self) -> Lane {
+        Lane::of(self.points_out)
+    }
+}
+
+/// How long requests take when they have the machine to themselves: a fixed time and one for each point
+/// that a unit reads, measured at two sizes, and corrected by what real requests take.
+///
+/// What a point costs does not grow with the cloud, and all stages go with the points that units read: a
+/// level makes twice as many, which are then sampled.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Pace {
+    fixed: f64,
+    a_point: f64,
+    /// By lane: small requests err in the fixed time, large ones in the other.
+    correction: [f64; 2],
+}
+
+impl Default for Pace {
+    fn default() -> Self {
+        Self { fixed: 0.0, a_point: 0.0, correction: [1.0; 2] }
+    }
+}
+
+/// How much of the distance to a new measurement the correction goes, in its logarithm.
+const STEP: f64 = 0.2;
+/// No measurement counts for more than this: a machine that was suspended, say.
+const OUTLIER: f64 = 20.0;
+
+impl Pace {
+    /// From what two requests took, the second larger than the first.
+    pub(super) fn measured(small: (Cost, Duration), large: (Cost, Duration)) -> Self {
+        let (read_small, read_large) = (small.0.points_read(), large.0.points_read());
+        let (small, large) = (small.1.as_secs_f64(), large.1.as_secs_f64());
+        let slope = (large - small) / (read_large - read_small);
+        // A hiccup in the small one: all is then taken to go with the points.
+        let (fixed, a_point) = match slope > 0.0 {
+            true => ((small - slope * read_small).max(0.0), slope),
+            false => (0.0, large / read_large),
+        };
+        Self { fixed, a_point, ..Self::default() }
+    }
+
+    /// How long a request takes; nothing before anything was measured.
+    pub(super) fn estimate(&self, cost: Cost) -> Duration {
+        let seconds =
+            (self.fixed + self.a_point * cost.points_read()) * self.correction[cost.lane() as usize];
+        Duration::try_from_secs_f64(seconds.min(1e9)).unwrap_or_default()
+    }
+
+    /// A request took so long, counted as if it had had the machine to itself.
+    pub(super) fn learn(&mut self, cost: Cost, took: Duration) {
+        let estimate = self.estimate(cost).as_secs_f64();
+        if estimate <= 0.0 || took.is_zero() {
+            return;
+        }
+        let error = (took.as_secs_f64() / estimate).clamp(1.0 / OUTLIER, OUTLIER);
+        let correction = &mut self.correction[cost.lane() as usize];
+        *correction = (*correction * error.powf(STEP)).clamp(1e-3, 1e3);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn cost(points_in: u64, points_out: u64) -> Cost {
+        Cost { points_in, points_out }
+    }
+
+    #[test]
+    fn levels_are_those_of_the_cascade() {
+        for (cost, levels) in [
+            (cost(100, 100), 1),
+            (cost(100, 200), 1),
+            (cost(100, 201), 2),
+            (cost(100, 400), 2),
+            (cost(100, 6400), 6),
+            (cost(0, 0), 1),
+            (cost(1, u64::MAX), 63),
+        ] {
+            assert_eq!(cost.levels(), levels, "{cost:?}");
+        }
+        assert_eq!(cost(u64::MAX, u64::MAX).memory(), u64::MAX, "no overflow");
+    }
+
+    #[test]
+    fn memory_is_more_than_what_was_measured_and_not_much_more() {
+        // BENCHMARKS.md: points in, ratio, megabytes of the whole process.
+        for (points_in, ratio, megabytes) in [(100_000, 4, 155), (1_000_000, 4, 1122), (1_000_000, 16, 4026)]
+        {
+            let estimate = cost(points_in, ratio * points_in).memory() / 1_000_000;
+            assert!((megabytes..3 * megabytes).contains(&estimate), "{points_in} at {ratio}: {estimate}");
+        }
+    }
+
+    #[test]
+    fn a_pace_is_a_line_through_what_was_measured_and_follows_what_comes() {
+        let ms = Duration::from_millis;
+        assert_eq!(Pace::default().estimate(cost(100, 400)), Duration::ZERO);
+        let mut pace = Pace::measured((cost(100, 200), ms(20)), (cost(1000, 2000), ms(110)));
+        for (size, expected) in [(cost(100, 200), 20), (cost(1000, 2000), 110), (cost(1000, 4000), 310)] {
+            let estimate = pace.estimate(size).as_secs_f64() * 1000.0;
+            assert!((estimate - f64::from(expected)).abs() < 0.01, "{size:?}: {estimate}");
+        }
+        for _ in 0..50 {
+            pace.learn(cost(1000, 4000), ms(620));
+        }
+        let estimate = pace.estimate(cost(1000, 4000)).as_secs_f64();
+        assert!((0.6..0.64).contains(&estimate), "{estimate}");
+        let large = pace.estimate(cost(1_000_000, 4_000_000)).as_secs_f64();
+        assert!((290.0..310.0).contains(&large), "the other lane has its own: {large}");
+        let odd = Pace::measured((cost(100, 200), ms(50)), (cost(1000, 2000), ms(40)));
+        assert_eq!(odd.estimate(cost(1000, 2000)), ms(40), "never backwards");
+    }
+}

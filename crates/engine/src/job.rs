@@ -1,0 +1,267 @@
+//! One request on its way through the engine.
+
+use std::future::Future;
+use std::panic::AssertUnwindSafe;
+use std::pin::Pin;
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::task::{Context, Poll};
+use std::time::{Duration, Instant};
+
+use tokio::sync::oneshot;
+
+use super::EngineError;
+use super::client::{Caller, Client};
+use super::cost::Cost;
+use super::progress::{Progress, StageTimes, Watch};
+use super::queue::{Permit, Queue, Turn};
+use densecloud::Request;
+use densecloud::attributes;
+use densecloud_cascade::{CascadeError, Observer, Stage};
+use densecloud_cascade::{Lane, Workers};
+use densecloud_cloud::{Attribute, Position};
+
+/// A request that was admitted. Await it, or [`Job::wait`] for it; drop it to stop the work within
+/// one batch of patches.
+#[must_use = "dropping a job cancels it"]
+pub struct Job {
+    queue: Arc<Queue>,
+    task: Arc<Task>,
+    // Tokio's channel because it can be awaited and waited for; it needs no runtime.
+    result: oneshot::Receiver<Result<Outcome, EngineError>>,
+}
+
+/// A finished request.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Outcome {
+    /// The dense cloud.
+    pub positions: Vec<Position>,
+    /// What else is known of each point.
+    pub attributes: Vec<Attribute>,
+    /// Points left out because a coordinate was NaN or infinite.
+    pub dropped_non_finite: usize,
+    /// Points that coincided with an earlier one.
+    pub duplicates: usize,
+    /// Points that lie apart from all others, kept as they are.
+    pub apart: usize,
+    /// How long each stage took, over all levels.
+    pub stages: StageTimes,
+    /// How long the engine took it to need when it was admitted, alone on the machine.
+    pub estimate: Duration,
+    /// How long it took, without the time that others had.
+    pub took: Duration,
+}
+
+impl Outcome {
+    /// What a person should know about how the input was treated, a sentence each.
+    #[must_use]
+    pub fn warnings(&self) -> Vec<String> {
+        let mut warnings = Vec::new();
+        if self.dropped_non_finite > 0 {
+            warnings.push(format!("{} points left out: NaN or infinite", self.dropped_non_finite));
+        }
+        if self.duplicates > 0 {
+            warnings.push(format!(
+                "{} points coincide with another; they count towards the size alone",
+                self.duplicates
+            ));
+        }
+        if self.apart > 0 {
+            warnings.push(format!(
+                "{} points lie apart from all others (outliers?); they are kept as they are, and nothing is made of them",
+                self.apart
+            ));
+        }
+        warnings
+    }
+}
+
+/// What queue, job thread and caller share.
+pub(super) struct Task {
+    pub(super) client: Client,
+    pub(super) cost: Cost,
+    /// How long it will take, alone on the machine.
+    pub(super) estimate: Duration,
+    watch: Watch,
+    deadline: Option<Instant>,
+    submitted: Instant,
+    started: OnceLock<Instant>,
+    // Taken by the job thread that runs it; dropped with the task when nobody does.
+    work: Mutex<Option<Work>>,
+}
+
+struct Work {
+    request: Request,
+    // Lives here, not with the caller: a caller who leaves must not free points that are still
+    // being computed.
+    permit: Permit,
+    result: oneshot::Sender<Result<Outcome, EngineError>>,
+}
+
+impl Task {
+    pub(super) fn cancel(&self) {
+        self.watch.cancel();
+        self.take();
+    }
+
+    fn is_late(&self) -> bool {
+        self.deadline.is_some_and(|deadline| Instant::now() >= deadline)
+    }
+
+    /// Its end where its deadline has passed.
+    fn late(&self) -> EngineError {
+        let begun = self.started.get();
+        let waited = begun.map_or_else(|| self.submitted.elapsed(), |begun| *begun - self.submitted);
+        EngineError::Deadline { waited, worked: begun.map_or(Duration::ZERO, Instant::elapsed) }
+    }
+
+    fn take(&self) -> Option<Work> {
+        self.work.lock().unwrap_or_else(PoisonError::into_inner).take()
+    }
+}
+
+impl Job {
+    pub(super) fn queue(queue: &Arc<Queue>, request: Request, caller: &Caller, permit: Permit) -> Self {
+        let (sender, result) = oneshot::channel();
+        let (cost, estimate) = (permit.cost(), permit.estimate());
+        let work = Work { request, permit, result: sender };
+        let task = Arc::new(Task {
+            client: caller.client.clone(),
+            cost,
+            estimate,
+            watch: Watch::new(caller.deadline),
+            deadline: caller.deadline,
+            submitted: Instant::now(),
+            started: OnceLock::new(),
+            work: Mutex::new(Some(work)),
+        });
+        queue.push(Arc::clone(&task));
+        Self { queue: Arc::clone(queue), task, result }
+    }
+
+    /// How far it is.
+    #[must_use]
+    pub fn progress(&self) -> Progress {
+        self.task.watch.progress()
+    }
+
+    /// Something that tells how far it is while the job itself is being waited for.
+    #[must_use]
+    pub fn progress_handle(&self) -> ProgressHandle {
+        ProgressHandle(Arc::clone(&self.task))
+    }
+
+    /// Blocks until it is done. Not for async code: await the job there.
+    ///
+    /// # Errors
+    /// As the job's own.
+    pub fn wait(mut self) -> Result<Outcome, EngineError> {
+        let result = std::mem::replace(&mut self.result, oneshot::channel().1);
+        result.blocking_recv().unwrap_or(Err(EngineError::Cancelled))
+    }
+}
+
+/// Tells how far a job is, and can cancel it; keeps nothing running.
+#[derive(Clone)]
+pub struct ProgressHandle(Arc<Task>);
+
+impl ProgressHandle {
+    /// How far it is.
+    #[must_use]
+    pub fn progress(&self) -> Progress {
+        self.0.watch.progress()
+    }
+
+    /// How long it waited in the queue; so far, where it still does.
+    #[must_use]
+    pub fn waited(&self) -> Duration {
+        let task = &self.0;
+        task.started.get().map_or_else(|| task.submitted.elapsed(), |begun| *begun - task.submitted)
+    }
+
+    /// Stops the work within one batch of patches; whoever waits for the job gets
+    /// [`EngineError::Cancelled`].
+    pub fn cancel(&self) {
+        self.0.cancel();
+    }
+}
+
+impl Future for Job {
+    type Output = Result<Outcome, EngineError>;
+
+    fn poll(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Self::Output> {
+        // A sender that is gone without a word was cancelled with its task.
+        Pin::new(&mut self.result).poll(context).map(|r| r.unwrap_or(Err(EngineError::Cancelled)))
+    }
+}
+
+impl Drop for Job {
+    fn drop(&mut self) {
+        self.task.watch.cancel();
+        self.queue.remove(&self.task);
+    }
+}
+
+/// A job thread's life: one task after another until the queue closes.
+pub(super) fn work(queue: &Queue, workers: &Workers, lane: Option<Lane>) {
+    while let Some((task, turn)) = queue.next(lane) {
+        let Some(work) = task.take() else { continue };
+        if task.is_late() {
+            let Work { permit, result, .. } = work;
+            drop((turn, permit));
+            let _ = result.send(Err(task.late()));
+            continue;
+        }
+        run(queue, workers, &task, work, turn);
+    }
+}
+
+fn run(queue: &Queue, workers: &Workers, task: &Task, work: Work, turn: Turn<'_>) {
+    let Work { request, permit, result } = work;
+    // Only this thread sets it, once.
+    let _ = task.started.set(Instant::now());
+    // A panic is a bug in one request; it must not take the thread, and the service, with it.
+    let done = std::panic::catch_unwind(AssertUnwindSafe(|| {
+        let Request { cloud, target, settings, finish } = &request;
+        let mut dense =
+            densecloud_cascade::upsample(&cloud.positions, *target, settings, workers, &task.watch)?;
+        if !finish.is_needed(cloud) {
+            return Ok::<_, CascadeError>((dense, Vec::new()));
+        }
+        task.watch.begin(task.watch.progress().levels.saturating_sub(1), Stage::Attributes);
+        let cancelled = || task.watch.cancelled();
+        let made = std::mem::take(&mut dense.positions);
+        let work = || attributes::finish(cloud, made, finish, &cancelled);
+        let (positions, attributes) =
+            workers.install(task.cost.lane(), work).ok_or(CascadeError::Cancelled)?;
+        dense.positions = positions;
+        Ok((dense, attributes))
+    }));
+    let outcome = match done {
+        Ok(Ok((dense, attributes))) => {
+            let took = turn.took();
+            queue.learn(task.cost, took);
+            Ok(Outcome {
+                positions: dense.positions,
+                attributes,
+                dropped_non_finite: dense.dropped_non_finite,
+                duplicates: dense.duplicates,
+                apart: dense.apart,
+                stages: task.watch.finish(),
+                estimate: permit.estimate(),
+                took,
+            })
+        }
+        Ok(Err(CascadeError::Cancelled)) if task.is_late() => Err(task.late()),
+        Ok(Err(error)) => Err(EngineError::from(error)),
+        Err(panic) => Err(EngineError::Internal(message(&*panic))),
+    };
+    // Before the answer, so that a caller who has it finds its points free.
+    drop((turn, permit));
+    // A caller who left needs no answer.
+    let _ = result.send(outcome);
+}
+
+fn message(panic: &(dyn std::any::Any + Send)) -> String {
+    let text = panic.downcast_ref::<&str>().map(|s| (*s).to_owned());
+    text.or_else(|| panic.downcast_ref::<String>().cloned()).unwrap_or_else(|| "a worker panicked".into())
+}

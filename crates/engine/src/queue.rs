@@ -1,0 +1,468 @@
+//! The queue: bounded in points, for all and for each client; fair among clients in each lane; no more at
+//! work than memory allows.
+
+use std::collections::HashMap;
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use super::client::{Caller, Client};
+use super::cost::{Cost, Pace};
+use super::fair::Fair;
+use super::job::Task;
+use super::refusal::Refusal;
+use densecloud_cascade::Lane;
+
+/// What a queue may hold.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Bounds {
+    /// Points out of all requests.
+    pub(super) points: u64,
+    /// Points out of one client's.
+    pub(super) client_points: u64,
+    /// How long what waits in a lane may take above which no more is admitted to it.
+    pub(super) time: Duration,
+    /// Bytes that all requests at work may take.
+    pub(super) memory: u64,
+}
+
+/// Tasks that wait, and the account of all that was admitted.
+pub(super) struct Queue {
+    bounds: Bounds,
+    state: Mutex<State>,
+    // Wakes job threads; a channel would not let a caller take its task back out.
+    changed: Condvar,
+}
+
+#[derive(Default)]
+struct State {
+    /// By lane.
+    waiting: [Fair<Arc<Task>>; 2],
+    points: u64,
+    /// What each client has admitted, by lane; no entry is nothing.
+    clients: HashMap<Client, [Load; 2]>,
+    running: Vec<Running>,
+    next_number: u64,
+    clock: Clock,
+    pace: Pace,
+    closed: bool,
+}
+
+/// What is admitted.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+struct Load {
+    requests: u64,
+    points: u64,
+    /// Microseconds, whole ones, so that sums come back to nothing.
+    time: u64,
+}
+
+/// One task at work.
+struct Running {
+    number: u64,
+    client: Client,
+    lane: Lane,
+    memory: u64,
+    time: u64,
+    since: Duration,
+}
+
+/// Time as each of the tasks at work has it to itself: with three of them it goes at a third of the pace. So
+/// what a task took by it is what the task would have taken alone.
+#[derive(Debug, Clone, Copy, Default)]
+struct Clock {
+    time: Duration,
+    looked: Option<Instant>,
+}
+
+impl Clock {
+    fn advance(&mut self, running: usize) {
+        let now = Instant::now();
+        if let Some(looked) = self.looked.replace(now) {
+            self.time += (now - looked) / running.max(1) as u32;
+        }
+    }
+}
+
+/// Points of the queue's budget, and of its client's share; given back when dropped, wherever the work
+/// ends.
+#[must_use = "dropping a permit gives its points back"]
+pub struct Permit {
+    queue: Arc<Queue>,
+    client: Client,
+    cost: Cost,
+    time: u64,
+}
+
+impl Permit {
+    /// What it was taken for.
+    #[must_use]
+    pub fn cost(&self) -> Cost {
+        self.cost
+    }
+
+    /// How long the work will take, alone on the machine.
+    pub(super) fn estimate(&self) -> Duration {
+        Duration::from_micros(self.time)
+    }
+
+    /// Makes it one for another size, now that more is known: a smaller one always, a larger one where there is
+    /// room.
+    ///
+    /// # Errors
+    /// As [`super::Engine::reserve`]; it is as before then.
+    pub(super) fn resize(&mut self, caller: &Caller, cost: Cost) -> Result<(), Refusal> {
+        if cost == self.cost {
+            return Ok(());
+        }
+        let queue = Arc::clone(&self.queue);
+        let mut state = queue.lock();
+        state.give_back(&self.client, self.cost, self.time);
+        // What has been let in may stay where it does not ask for more.
+        let checked = if cost.points_out > self.cost.points_out {
+            queue.check(&mut state, caller, cost)
+        } else {
+            queue.check_memory(cost)
+        };
+        if checked.is_ok() {
+            (self.cost, self.time) = (cost, state.time(cost));
+        }
+        state.take(&self.client, self.cost, self.time);
+        checked
+    }
+}
+
+impl Drop for Permit {
+    fn drop(&mut self) {
+        self.queue.lock().give_back(&self.client, self.cost, self.time);
+    }
+}
+
+/// A task at work, until dropped.
+pub(super) struct Turn<'a> {
+    queue: &'a Queue,
+    number: u64,
+}
+
+impl Turn<'_> {
+    /// How long it has been at work, as if alone on the machine.
+    pub(super) fn took(&self) -> Duration {
+        let mut state = self.queue.lock();
+        state.look();
+        let since = state.running.iter().find(|r| r.number == self.number).map(|r| r.since);
+        state.clock.time.saturating_sub(since.unwrap_or(state.clock.time))
+    }
+}
+
+impl Drop for Turn<'_> {
+    fn drop(&mut self) {
+        let mut state = self.queue.lock();
+        state.look();
+        state.running.retain(|r| r.number != self.number);
+        drop(state);
+        // Its memory is free: for a task of either lane.
+        self.queue.changed.notify_all();
+    }
+}
+
+impl State {
+    fn look(&mut self) {
+        self.clock.advance(self.running.len());
+    }
+
+    fn time(&self, cost: Cost) -> u64 {
+        self.pace.estimate(cost).as_micros().try_into().unwrap_or(u64::MAX)
+    }
+
+    fn take(&mut self, client: &Client, cost: Cost, time: u64) {
+        self.points += cost.points_out;
+        let load = &mut self.clients.entry(client.clone()).or_default()[cost.lane() as usize];
+        load.requests += 1;
+        load.points += cost.points_out;
+        load.time = load.time.saturating_add(time);
+    }
+
+    fn give_back(&mut self, client: &Client, cost: Cost, time: u64) {
+        self.points -= cost.points_out;
+        let Some(loads) = self.clients.get_mut(client) else { return };
+        let load = &mut loads[cost.lane() as usize];
+        load.requests -= 1;
+        load.points -= cost.points_out;
+        load.time = load.time.saturating_sub(time);
+        if *loads == [Load::default(); 2] {
+            self.clients.remove(client);
+        }
+    }
+
+    fn points_of(&self, client: &Client) -> u64 {
+        self.clients.get(client).map_or(0, |loads| loads.iter().map(|load| load.points).sum())
+    }
+
+    /// Microseconds of work that are left of what `client` has admitted to `lane`; `None` is all clients.
+    fn left(&self, client: Option<&Client>, lane: Lane) -> u64 {
+        let admitted: u64 = match client {
+            Some(client) => self.clients.get(client).map_or(0, |loads| loads[lane as usize].time),
+            None => self.clients.values().fold(0, |sum, loads| sum.saturating_add(loads[lane as usize].time)),
+        };
+        let mine = |r: &&Running| r.lane == lane && client.is_none_or(|client| *client == r.client);
+        let done = |r: &Running| {
+            let worked = self.clock.time.saturating_sub(r.since).as_micros();
+            r.time.min(worked.try_into().unwrap_or(u64::MAX))
+        };
+        admitted.saturating_sub(self.running.iter().filter(mine).map(done).sum())
+    }
+
+    /// How long what waits in a lane will take, of one client or, `None`, of all. Not what is reserved: its upload
+    /// may take minutes, in which others' work is done. O(what waits).
+    fn waiting_time(&self, client: Option<&Client>, lane: Lane) -> Duration {
+        self.waiting[lane as usize].iter(client).map(|task| task.estimate).sum()
+    }
+
+    fn backlog(&self) -> u64 {
+        self.left(None, Lane::Express).saturating_add(self.left(None, Lane::Bulk))
+    }
+
+    /// When a request that comes now would be done, if the queue is as fair as it should be: after as much of
+    /// each other client's work in its lane as of its own client's, while the other lane has half the machine.
+    fn done_in(&self, client: &Client, cost: Cost) -> Duration {
+        let lane = cost.lane();
+        let own = self.left(Some(client), lane).saturating_add(self.time(cost));
+        let others = self.clients.keys().filter(|other| *other != client);
+        let others = others.map(|other| self.left(Some(other), lane).min(own));
+        let in_lane = others.fold(own, u64::saturating_add);
+        let beside = match lane {
+            Lane::Express => self.left(None, Lane::Bulk),
+            Lane::Bulk => self.left(None, Lane::Express),
+        };
+        Duration::from_micros(in_lane.saturating_add(beside.min(in_lane)))
+    }
+
+    fn memory(&self) -> u64 {
+        self.running.iter().map(|r| r.memory).sum()
+    }
+
+    /// The next task for a thread that takes both lanes, or small ones alone.
+    fn pick(&mut self, only: Option<Lane>, memory: u64) -> Option<Arc<Task>> {
+        let used = self.memory();
+        let [express, bulk] = &mut self.waiting;
+        let alone = self.running.is_empty();
+        let fits = |task: &Arc<Task>| alone || used.saturating_add(task.cost.memory()) <= memory;
+        if let Some(room) = bulk.peek().map(fits) {
+            // Large ones first: small ones have threads of their own.
+            if room && only.is_none() {
+                return bulk.pop();
+            }
+            // A large one that waits for memory which small ones have gets it before further small ones; these
+            // take moments.
+            if !room && !self.running.iter().any(|r| r.lane == Lane::Bulk) {
+                return None;
+            }
+        }
+        express.peek().is_some_and(fits).then(|| express.pop())?
+    }
+}
+
+const SECOND: Duration = Duration::from_secs(1);
+
+/// The part of `time` that lies before `need` of `all` points are done; at least a second.
+fn part(time: u64, need: u64, all: u64) -> Duration {
+    let share = need.min(all) as f64 / all.max(1) as f64;
+    Duration::from_micros((time as f64 * share) as u64).max(SECOND)
+}
+
+impl Queue {
+    pub(super) fn new(bounds: Bounds) -> Self {
+        Self { bounds, state: Mutex::default(), changed: Condvar::new() }
+    }
+
+    /// Nothing panics while it is held, so a poisoned lock is still sound.
+    fn lock(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Takes the points of one request from the budget.
+    pub(super) fn admit(self: &Arc<Self>, caller: &Caller, cost: Cost) -> Result<Permit, Refusal> {
+        let mut state = self.lock();
+        self.check(&mut state, caller, cost)?;
+        let time = state.time(cost);
+        state.take(&caller.client, cost, time);
+        Ok(Permit { queue: Arc::clone(self), client: caller.client.clone(), cost, time })
+    }
+
+    /// Whether a request could be admitted, were it this small, or, where small ones wait for too long already, the
+    /// least of the large.
+    pub(super) fn would_admit(&self, caller: &Caller, cost: Cost) -> Result<(), Refusal> {
+        let mut state = self.lock();
+        let Err(refusal) = self.check(&mut state, caller, cost) else { return Ok(()) };
+        let waits = matches!(refusal, Refusal::Busy { .. } | Refusal::Late { .. });
+        let large = Cost { points_out: cost.points_out.max(Lane::EXPRESS + 1), ..cost };
+        if waits && self.check(&mut state, caller, large).is_ok() {
+            return Ok(());
+        }
+        // How large it is nobody knows yet. It will hardly be the smallest there is, for which room comes soonest.
+        let requests: u64 = state.clients.values().flatten().map(|load| load.requests).sum();
+        let typical = Cost { points_out: cost.points_out.max(state.points / requests.max(1)), ..cost };
+        let later = self.check(&mut state, caller, typical).err().and_then(|refusal| refusal.retry_after());
+        Err(refusal.no_sooner(later))
+    }
+
+    /// Whether one request alone is within the bound of memory.
+    pub(super) fn check_memory(&self, cost: Cost) -> Result<(), Refusal> {
+        let (bytes, limit) = (cost.memory(), self.bounds.memory);
+        if bytes > limit { Err(Refusal::TooBig { bytes, limit }) } else { Ok(()) }
+    }
+
+    fn check(&self, state: &mut State, caller: &Caller, cost: Cost) -> Result<(), Refusal> {
+        self.check_memory(cost)?;
+        state.look();
+        let wanted = cost.points_out;
+        let (queued, used) = (state.points, state.points_of(&caller.client));
+        let Bounds { points, client_points, .. } = self.bounds;
+        // A request above a whole limit would never fit; it may run when it is alone.
+        let above = |used: u64, limit: u64| {
+            let sum = used.saturating_add(wanted);
+            (used > 0 && sum > limit).then(|| sum - limit)
+        };
+        let full = above(queued, points).map(|need| part(state.backlog(), need, queued));
+        // A share that is the whole is none.
+        if let Some(need) = above(used, client_points).filter(|_| client_points < points) {
+            let own = [Lane::Express, Lane::Bulk].map(|lane| state.left(Some(&caller.client), lane));
+            // Its work gets its share of the machine, and the whole when the others' is done.
+            let own = own[0].saturating_add(own[1]).saturating_mul(state.clients.len() as u64);
+            let retry_after = part(own.min(state.backlog()), need, used).max(full.unwrap_or_default());
+            return Err(Refusal::Share { wanted, used, limit: client_points, retry_after });
+        }
+        if let Some(retry_after) = full {
+            return Err(Refusal::Full { wanted, queued, limit: points, retry_after });
+        }
+        self.check_time(state, &caller.client, cost.lane())?;
+        let left = caller.deadline.map(|deadline| deadline.saturating_duration_since(Instant::now()));
+        // One that is alone is always tried: estimates may be wrong, and only work corrects them.
+        if let Some(left) = left.filter(|_| queued > 0) {
+            let needed = state.done_in(&caller.client, cost);
+            if needed > left {
+                return Err(Refusal::Late { needed, left, retry_after: (needed - left).max(SECOND) });
+            }
+        }
+        Ok(())
+    }
+
+    /// Whether what waits in a lane takes no longer than it may.
+    fn check_time(&self, state: &State, client: &Client, lane: Lane) -> Result<(), Refusal> {
+        let Bounds { points, client_points, time, .. } = self.bounds;
+        let all = state.waiting_time(None, lane);
+        let busy = |own, waiting: Duration, limit, pace: u32| Refusal::Busy {
+            own,
+            waiting,
+            limit,
+            retry_after: (waiting - limit).saturating_mul(pace).min(all).max(SECOND),
+        };
+        let own = state.waiting_time(Some(client), lane);
+        let share = time.mul_f64(client_points as f64 / points.max(1) as f64);
+        if client_points < points && own > share {
+            // Its work goes at its part of the machine's pace.
+            return Err(busy(true, own, share, state.clients.len().try_into().unwrap_or(u32::MAX)));
+        }
+        if all > time { Err(busy(false, all, time, 1)) } else { Ok(()) }
+    }
+
+    pub(super) fn push(&self, task: Arc<Task>) {
+        let (client, points) = (task.client.clone(), task.cost.points_out);
+        self.lock().waiting[task.cost.lane() as usize].push(&client, task, points);
+        // All: the one that would be woken may serve the other lane.
+        self.changed.notify_all();
+    }
+
+    /// The next task, of one lane if it is given, once there is memory for it; none once the queue is closed.
+    pub(super) fn next(&self, lane: Option<Lane>) -> Option<(Arc<Task>, Turn<'_>)> {
+        let mut state = self.lock();
+        let task = loop {
+            if state.closed {
+                return None;
+            }
+            match state.pick(lane, self.bounds.memory) {
+                Some(task) => break task,
+                None => state = self.changed.wait(state).unwrap_or_else(PoisonError::into_inner),
+            }
+        };
+        state.look();
+        let number = state.next_number;
+        state.next_number += 1;
+        let running = Running {
+            number,
+            client: task.client.clone(),
+            lane: task.cost.lane(),
+            memory: task.cost.memory(),
+            time: state.time(task.cost),
+            since: state.clock.time,
+        };
+        state.running.push(running);
+        Some((task, Turn { queue: self, number }))
+    }
+
+    /// Takes a task back out, if it still waits.
+    pub(super) fn remove(&self, task: &Arc<Task>) {
+        let mut state = self.lock();
+        let removed =
+            state.waiting[task.cost.lane() as usize].remove(&task.client, |other| Arc::ptr_eq(other, task));
+        // Dropping it may give back its permit, which takes the lock.
+        drop(state);
+        drop(removed);
+        // It may have been the one that waited for memory.
+        self.changed.notify_all();
+    }
+
+    /// Lets the job threads end and drops what waits.
+    pub(super) fn close(&self) {
+        let mut state = self.lock();
+        state.closed = true;
+        let tasks: Vec<_> = state.waiting.iter_mut().flat_map(Fair::drain).collect();
+        drop(state);
+        self.changed.notify_all();
+        for task in tasks {
+            task.cancel();
+        }
+    }
+
+    pub(super) fn points(&self) -> u64 {
+        self.lock().points
+    }
+
+    /// Bytes that what is at work takes, as estimated.
+    pub(super) fn memory(&self) -> u64 {
+        self.lock().memory()
+    }
+
+    /// The bounds.
+    pub(super) fn bounds(&self) -> Bounds {
+        self.bounds
+    }
+
+    /// Sets the model of what requests take.
+    pub(super) fn calibrate(&self, pace: Pace) {
+        self.lock().pace = pace;
+    }
+
+    /// Learns from a request that `took` so long, as if alone.
+    pub(super) fn learn(&self, cost: Cost, took: Duration) {
+        self.lock().pace.learn(cost, took);
+    }
+
+    /// How long a request takes alone; nothing before the first measurement.
+    pub(super) fn estimate(&self, cost: Cost) -> Option<Duration> {
+        Some(self.lock().pace.estimate(cost)).filter(|estimate| !estimate.is_zero())
+    }
+
+    /// Time for what is admitted and not done.
+    pub(super) fn backlog(&self) -> Duration {
+        let mut state = self.lock();
+        state.look();
+        Duration::from_micros(state.backlog())
+    }
+
+    /// Nothing is admitted, and nothing is remembered of it.
+    #[cfg(test)]
+    pub(super) fn is_clean(&self) -> bool {
+        let state = self.lock();
+        state.points == 0 && state.clients.is_empty() && state.running.is_empty()
+    }
+}

@@ -1,0 +1,498 @@
+//! Scans to one cloud.
+
+use std::io::{Cursor, Read};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+
+use ::e57::{E57Reader, PointCloud, Record, RecordDataType, RecordName, RecordValue, Transform};
+
+use super::super::source::Source;
+use super::super::xyz::MAX_COLUMNS;
+use super::super::{Format, FormatError, Header, Limits, Place};
+use super::{NORMALS, SCAN, STANDARD, untag};
+use densecloud_cloud::{Attribute, Cloud, Kind, Position, Values};
+
+/// What every file begins with.
+pub(in super::super) const MAGIC: &[u8] = b"ASTM-E57";
+
+/// Bytes of the header of a file.
+const HEADER: usize = 48;
+
+/// What is known before the points are read: next to nothing, since the description is the last part of a
+/// file.
+pub(in super::super) fn open<R: Read>(source: &mut Source<R>) -> Result<Header, FormatError> {
+    let found = source.peek(HEADER)?.len();
+    if found < HEADER {
+        return Err(FormatError::truncated(Place::Byte(found as u64), "the E57 header is incomplete"));
+    }
+    Ok(Header { format: Format::E57, points: None, attributes: Vec::new(), dropped_properties: Vec::new() })
+}
+
+/// Reads all scans. The whole file is held, since its description comes last.
+pub(in super::super) fn read<R: Read>(source: &mut Source<R>, limits: Limits) -> Result<Cloud, FormatError> {
+    let bytes = source.rest()?;
+    let end = Place::Byte(bytes.len() as u64);
+    let word = |from: usize| {
+        let mut word = [0; 8];
+        word.copy_from_slice(&bytes[from..from + 8]);
+        u64::from_le_bytes(word)
+    };
+    // As much is reserved.
+    if word(32) > bytes.len() as u64 {
+        return Err(FormatError::truncated(end, "the description should be longer than the file"));
+    }
+    // Files are made to break readers, and this one is not ours.
+    catch_unwind(AssertUnwindSafe(|| decode(bytes, end, limits)))
+        .unwrap_or_else(|_| Err(FormatError::malformed(end, "the E57 file contradicts itself")))
+}
+
+fn decode(bytes: Vec<u8>, end: Place, limits: Limits) -> Result<Cloud, FormatError> {
+    let length = bytes.len() as u64;
+    let bad = |why: ::e57::Error| {
+        FormatError::malformed(end, format!("not a readable E57 file: {}", reasons(&why)))
+    };
+    let mut reader = E57Reader::new(Cursor::new(bytes.as_slice())).map_err(bad)?;
+    let scans = reader.pointclouds();
+    check(&scans, length, limits).map_err(|why| match why {
+        Refusal::TooMany(error) => error,
+        Refusal::Contradiction(why) => FormatError::malformed(end, why),
+    })?;
+    for scan in &scans {
+        check_packets(&bytes, scan).map_err(|why| FormatError::malformed(end, why))?;
+    }
+    let mut cloud = Cloud::default();
+    let mut columns: Vec<Column> = Vec::new();
+    let mut invalid = 0_u64;
+    let mut scan_numbers = Vec::new();
+    for (scan_number, scan) in (0..).zip(&scans) {
+        let from = cloud.positions.len();
+        let layout = Layout::of(scan).map_err(|why| FormatError::malformed(end, why))?;
+        let mut places = Vec::new();
+        for (record, name) in &layout.columns {
+            let Record { name: standard, data_type } = &scan.prototype[*record];
+            // Counted from 0 in the file.
+            let shift = i64::from(*standard == RecordName::ReturnIndex);
+            places.push((*record, Column::place(&mut columns, name, data_type, shift, from), shift));
+        }
+        let pose = Pose::of(scan.transform.as_ref());
+        for point in reader.pointcloud_raw(scan).map_err(bad)? {
+            let point = point.map_err(bad)?;
+            let number = |record: usize| point[record].to_f64(&scan.prototype[record].data_type);
+            if let Some(state) = layout.invalid
+                && number(state).map_err(bad)? != 0.0
+            {
+                invalid += 1;
+                continue;
+            }
+            let [a, b, c] = layout.position;
+            let local = [number(a).map_err(bad)?, number(b).map_err(bad)?, number(c).map_err(bad)?];
+            let local = if layout.spherical { from_spherical(local) } else { local };
+            cloud.positions.push(pose.apply(local));
+            for (record, column, shift) in &places {
+                columns[*column].push(&point[*record], number(*record).map_err(bad)?, *shift);
+            }
+        }
+        let to = cloud.positions.len();
+        for column in &mut columns {
+            column.fill(to);
+        }
+        pose.turn_normals(&mut columns, from);
+        if let Some(text) = &scan.description {
+            for line in text.lines() {
+                let known = cloud.origin.comments.iter().any(|comment| comment == line.trim());
+                if !known {
+                    cloud.origin.comment(line);
+                }
+            }
+        }
+        scan_numbers.resize(to, scan_number);
+    }
+    if let [scan] = scans.as_slice() {
+        cloud.origin.sensor =
+            scan.transform.as_ref().map(|t| [t.translation.x, t.translation.y, t.translation.z]);
+    }
+    let text = reader.coordinate_metadata().map(str::trim).filter(|text| !text.is_empty());
+    // Parsing cannot fail.
+    cloud.origin.crs = text.and_then(|text| text.parse().ok());
+    let scan_name = free_name(&columns, SCAN);
+    for column in columns {
+        if column.scans < scans.len() {
+            let fill = if matches!(column.numbers, Numbers::Whole(_)) { "0" } else { "nan" };
+            let (name, has, all) = (&column.name, column.scans, scans.len());
+            cloud.origin.comment(&format!("{name}: told by {has} of {all} scans, {fill} in the others"));
+        }
+        if !column.is_unused_flag() {
+            cloud.attributes.push(column.into_attribute());
+        }
+    }
+    if scans.len() > 1 {
+        let values = whole(scan_numbers, 0, scans.len() as i64 - 1);
+        cloud.attributes.push(Attribute { name: scan_name, values });
+    }
+    if invalid > 0 {
+        cloud.dropped_properties.push(format!("{invalid} points that the file calls invalid"));
+    }
+    if !reader.images().is_empty() {
+        cloud.dropped_properties.push("images".to_owned());
+    }
+    Ok(cloud)
+}
+
+fn free_name(columns: &[Column], name: &str) -> String {
+    let mut name = name.to_owned();
+    while columns.iter().any(|column| column.name == name) {
+        name.push('_');
+    }
+    name
+}
+
+/// All that the crate tells.
+fn reasons(error: &dyn std::error::Error) -> String {
+    let mut text = error.to_string();
+    let mut source = error.source();
+    while let Some(error) = source {
+        text += &format!(": {error}");
+        source = error.source();
+    }
+    text.chars().take(400).collect()
+}
+
+enum Refusal {
+    TooMany(FormatError),
+    Contradiction(String),
+}
+
+/// Refuses what would be decoded beyond all that the file can hold.
+fn check(scans: &[PointCloud], length: u64, limits: Limits) -> Result<(), Refusal> {
+    let (mut points, mut bits) = (0_u64, 0_u64);
+    for scan in scans {
+        let sizes = scan.prototype.iter().map(|record| bits_of(&record.data_type));
+        let row: u64 = sizes.clone().sum();
+        // Columns of one value take no room: without any other, nothing tells how many points there are.
+        let constant = sizes.filter(|bits| *bits == 0).count() as u64;
+        if scan.records > 0 && (constant > row || scan.prototype.len() > MAX_COLUMNS) {
+            return Err(Refusal::Contradiction("the columns of a scan hold next to nothing".into()));
+        }
+        points = points.saturating_add(scan.records);
+        bits = bits.saturating_add(scan.records.saturating_mul(row));
+    }
+    if let Some(limit) = limits.max_points
+        && points > limit
+    {
+        return Err(Refusal::TooMany(FormatError::TooManyPoints { points, limit }));
+    }
+    if bits / 8 > length {
+        let why = format!("the description counts {points} points, more than the file has room for");
+        return Err(Refusal::Contradiction(why));
+    }
+    Ok(())
+}
+
+/// Bytes of a page, and of those that the checksum at its end leaves.
+const PAGE: (u64, u64) = (1024, 1020);
+
+/// Most numbers of a scan that are decoded before the rest of their points, all columns together. Writers
+/// keep columns together to a packet, which holds half a million at most.
+const MOST_AHEAD: u64 = 4_000_000;
+
+/// Refuses a scan some of whose columns are far ahead of others: they are decoded, and held, up to the
+/// last. What else is wrong is left to the crate.
+fn check_packets(bytes: &[u8], scan: &PointCloud) -> Result<(), String> {
+    let logical = |physical: u64| physical - physical / PAGE.0 * (PAGE.0 - PAGE.1);
+    let byte = |at: u64| {
+        let physical = at / PAGE.1 * PAGE.0 + at % PAGE.1;
+        bytes.get(usize::try_from(physical).ok()?).map(|byte| u64::from(*byte))
+    };
+    let number = |at: u64, size: u64| {
+        (0..size).try_fold(0, |sum: u64, i| Some(sum | byte(at.checked_add(i)?)? << (8 * i)))
+    };
+    let sizes: Vec<u64> = scan.prototype.iter().map(|record| bits_of(&record.data_type)).collect();
+    let mut bits = vec![0_u64; sizes.len()];
+    let Some(data) = number(logical(scan.file_offset).saturating_add(16), 8) else { return Ok(()) };
+    let mut at = logical(data);
+    loop {
+        let counts =
+            || bits.iter().zip(&sizes).filter(|(_, size)| **size > 0).map(|(bits, size)| bits / size);
+        let least = counts().min().unwrap_or(0);
+        if least >= scan.records {
+            return Ok(());
+        }
+        if counts().map(|count| count - least).sum::<u64>() > MOST_AHEAD {
+            return Err("the columns of a scan are of different lengths".into());
+        }
+        let (Some(kind), Some(length)) = (number(at, 1), number(at.saturating_add(2), 2)) else {
+            return Ok(());
+        };
+        at = match kind {
+            0 => at.saturating_add(16 + length + 1),
+            1 => {
+                let mut end = at.saturating_add(6 + 2 * sizes.len() as u64);
+                for (i, bits) in bits.iter_mut().enumerate() {
+                    let Some(bytes) = number(at.saturating_add(6 + 2 * i as u64), 2) else { return Ok(()) };
+                    *bits += 8 * bytes;
+                    end = end.saturating_add(bytes);
+                }
+                end
+            }
+            2 => at.saturating_add(4 + length + 1),
+            _ => return Ok(()),
+        };
+        at = at.saturating_add(3) & !3;
+    }
+}
+
+/// Bits a number.
+fn bits_of(kind: &RecordDataType) -> u64 {
+    match kind {
+        RecordDataType::Single { .. } => 32,
+        RecordDataType::Double { .. } => 64,
+        RecordDataType::Integer { min, max } | RecordDataType::ScaledInteger { min, max, .. } => {
+            u64::from(128 - (i128::from(*max) - i128::from(*min)).leading_zeros())
+        }
+    }
+}
+
+/// What the columns of a scan are.
+struct Layout {
+    /// Places of x, y and z, or of range, azimuth and elevation.
+    position: [usize; 3],
+    spherical: bool,
+    /// The place of what tells that a point has no position.
+    invalid: Option<usize>,
+    /// Places of the attributes, and their names.
+    columns: Vec<(usize, String)>,
+}
+
+impl Layout {
+    fn of(scan: &PointCloud) -> Result<Self, String> {
+        let find = |name: &RecordName| scan.prototype.iter().position(|record| record.name == *name);
+        let all = |names: [RecordName; 3]| {
+            let [a, b, c] = names.map(|name| find(&name));
+            Some([a?, b?, c?])
+        };
+        let cartesian = all([RecordName::CartesianX, RecordName::CartesianY, RecordName::CartesianZ]);
+        let polar =
+            [RecordName::SphericalRange, RecordName::SphericalAzimuth, RecordName::SphericalElevation];
+        let (position, state) = match cartesian {
+            Some(position) => (position, RecordName::CartesianInvalidState),
+            None => (all(polar).ok_or("a scan has no coordinates")?, RecordName::SphericalInvalidState),
+        };
+        let mut columns: Vec<(usize, String)> = Vec::new();
+        for (place, record) in scan.prototype.iter().enumerate() {
+            let name = match &record.name {
+                RecordName::Unknown { namespace, name } if namespace == NORMALS.0 => match name.as_str() {
+                    "normalX" => "nx".to_owned(),
+                    "normalY" => "ny".to_owned(),
+                    "normalZ" => "nz".to_owned(),
+                    other => other.to_owned(),
+                },
+                RecordName::Unknown { name, .. } => untag(name),
+                standard => match STANDARD.iter().find(|(known, _)| known == standard) {
+                    Some((_, name)) => (*name).to_owned(),
+                    // Coordinates, and what tells of them.
+                    None => continue,
+                },
+            };
+            let mut name = name;
+            while columns.iter().any(|(_, other)| *other == name) {
+                name.push('_');
+            }
+            columns.push((place, name));
+        }
+        Ok(Self { position, spherical: cartesian.is_none(), invalid: find(&state), columns })
+    }
+}
+
+fn from_spherical([range, azimuth, elevation]: [f64; 3]) -> Position {
+    let flat = range * elevation.cos();
+    [flat * azimuth.cos(), flat * azimuth.sin(), range * elevation.sin()]
+}
+
+/// Where a scan stands: a rotation's rows, and a translation.
+struct Pose(Option<([[f64; 3]; 3], [f64; 3])>);
+
+impl Pose {
+    fn of(transform: Option<&Transform>) -> Self {
+        Self(transform.map(|Transform { rotation: q, translation: t }| {
+            let norm = (q.w * q.w + q.x * q.x + q.y * q.y + q.z * q.z).sqrt();
+            // A rotation of no length, or of none that can be computed with, is none.
+            let usable = norm.is_finite() && norm > 0.0;
+            let [w, x, y, z] =
+                if usable { [q.w, q.x, q.y, q.z].map(|c| c / norm) } else { [1.0, 0.0, 0.0, 0.0] };
+            let rows = [
+                [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
+                [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
+                [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
+            ];
+            (rows, [t.x, t.y, t.z])
+        }))
+    }
+
+    fn apply(&self, p: Position) -> Position {
+        let Some((rows, shift)) = &self.0 else { return p };
+        let [x, y, z] = turn(rows, p);
+        [x + shift[0], y + shift[1], z + shift[2]]
+    }
+
+    /// Turns the normals of the points from `from` on.
+    fn turn_normals(&self, columns: &mut [Column], from: usize) {
+        let Some((rows, _)) = &self.0 else { return };
+        let places = ["nx", "ny", "nz"].map(|name| columns.iter().position(|column| column.name == name));
+        let [Some(x), Some(y), Some(z)] = places else { return };
+        for i in from..columns[x].len() {
+            let turned = turn(rows, [x, y, z].map(|column| columns[column].get(i)));
+            for (column, value) in [x, y, z].into_iter().zip(turned) {
+                columns[column].set(i, value);
+            }
+        }
+    }
+}
+
+fn turn(rows: &[[f64; 3]; 3], v: [f64; 3]) -> [f64; 3] {
+    rows.map(|row| row[0] * v[0] + row[1] * v[1] + row[2] * v[2])
+}
+
+/// An attribute as it is read.
+struct Column {
+    name: String,
+    numbers: Numbers,
+    /// The range of the whole numbers, as the file tells it.
+    lowest: i64,
+    highest: i64,
+    /// How many scans have it.
+    scans: usize,
+}
+
+/// In the narrowest type that all scans have them in.
+enum Numbers {
+    Whole(Vec<i64>),
+    Single(Vec<f32>),
+    Double(Vec<f64>),
+}
+
+impl Column {
+    /// The column of that name, which a scan has in this type, its numbers `shift` too low, and which may
+    /// be new at point `from`.
+    fn place(columns: &mut Vec<Self>, name: &str, kind: &RecordDataType, shift: i64, from: usize) -> usize {
+        let place = columns.iter().position(|column| column.name == name);
+        let place = place.unwrap_or_else(|| {
+            let numbers = match kind {
+                RecordDataType::Integer { .. } => Numbers::Whole(Vec::new()),
+                RecordDataType::Single { .. } => Numbers::Single(Vec::new()),
+                _ => Numbers::Double(Vec::new()),
+            };
+            columns.push(Self {
+                name: name.to_owned(),
+                numbers,
+                lowest: i64::MAX,
+                highest: i64::MIN,
+                scans: 0,
+            });
+            columns.len() - 1
+        });
+        let column = &mut columns[place];
+        column.fill(from);
+        column.scans += 1;
+        // Files that tell no range have the widest; the values tell more.
+        if let RecordDataType::Integer { min, max } = kind
+            && (*min, *max) != (i64::MIN, i64::MAX)
+        {
+            column.lowest = column.lowest.min(min.saturating_add(shift));
+            column.highest = column.highest.max(max.saturating_add(shift));
+        }
+        place
+    }
+
+    fn len(&self) -> usize {
+        match &self.numbers {
+            Numbers::Whole(numbers) => numbers.len(),
+            Numbers::Single(numbers) => numbers.len(),
+            Numbers::Double(numbers) => numbers.len(),
+        }
+    }
+
+    /// Fills up to `to` points what no scan has told.
+    fn fill(&mut self, to: usize) {
+        match &mut self.numbers {
+            Numbers::Whole(numbers) => numbers.resize(to, 0),
+            Numbers::Single(numbers) => numbers.resize(to, f32::NAN),
+            Numbers::Double(numbers) => numbers.resize(to, f64::NAN),
+        }
+    }
+
+    /// Appends a number, which is `wide` as a double, and `shift` too low.
+    fn push(&mut self, value: &RecordValue, wide: f64, shift: i64) {
+        let wide = wide + shift as f64;
+        match (&mut self.numbers, value) {
+            (Numbers::Whole(numbers), RecordValue::Integer(value)) => {
+                let value = value.saturating_add(shift);
+                numbers.push(value);
+                self.lowest = self.lowest.min(value);
+                self.highest = self.highest.max(value);
+            }
+            (Numbers::Single(numbers), RecordValue::Single(value)) => numbers.push(*value),
+            (Numbers::Double(numbers), _) => numbers.push(wide),
+            _ => {
+                let numbers = (0..self.len()).map(|i| self.get(i)).chain([wide]).collect();
+                self.numbers = Numbers::Double(numbers);
+            }
+        }
+    }
+
+    fn get(&self, i: usize) -> f64 {
+        match &self.numbers {
+            Numbers::Whole(numbers) => numbers[i] as f64,
+            Numbers::Single(numbers) => f64::from(numbers[i]),
+            Numbers::Double(numbers) => numbers[i],
+        }
+    }
+
+    fn set(&mut self, i: usize, value: f64) {
+        match &mut self.numbers {
+            Numbers::Whole(numbers) => numbers[i] = value.round() as i64,
+            Numbers::Single(numbers) => numbers[i] = value as f32,
+            Numbers::Double(numbers) => numbers[i] = value,
+        }
+    }
+
+    /// A flag that is never set.
+    fn is_unused_flag(&self) -> bool {
+        let flag = self.name.ends_with("_invalid") && STANDARD.iter().any(|(_, name)| self.name == *name);
+        flag && (0..self.len()).all(|i| self.get(i) == 0.0)
+    }
+
+    fn into_attribute(self) -> Attribute {
+        let values = match self.numbers {
+            Numbers::Single(numbers) => Values::F32(numbers),
+            Numbers::Double(numbers) => Values::F64(numbers),
+            Numbers::Whole(numbers) => whole(numbers, self.lowest.min(0), self.highest),
+        };
+        Attribute { name: self.name, values }
+    }
+}
+
+/// Whole numbers in the narrowest type that holds all from `lowest` to `highest`.
+fn whole(numbers: Vec<i64>, lowest: i64, highest: i64) -> Values {
+    let unsigned = [(Kind::U8, 0xFF), (Kind::U16, 0xFFFF), (Kind::U32, 0xFFFF_FFFF), (Kind::U64, i64::MAX)];
+    let signed = [
+        (Kind::I8, i64::from(i8::MAX)),
+        (Kind::I16, i64::from(i16::MAX)),
+        (Kind::I32, i64::from(i32::MAX)),
+        (Kind::I64, i64::MAX),
+    ];
+    let kind = if lowest >= 0 {
+        unsigned.into_iter().find(|(_, most)| highest <= *most)
+    } else {
+        signed.into_iter().find(|(_, most)| highest <= *most && lowest >= -*most - 1)
+    };
+    let numbers = numbers.into_iter();
+    match kind.map_or(Kind::I64, |(kind, _)| kind) {
+        Kind::U8 => Values::U8(numbers.map(|n| n as u8).collect()),
+        Kind::U16 => Values::U16(numbers.map(|n| n as u16).collect()),
+        Kind::U32 => Values::U32(numbers.map(|n| n as u32).collect()),
+        Kind::U64 => Values::U64(numbers.map(|n| n as u64).collect()),
+        Kind::I8 => Values::I8(numbers.map(|n| n as i8).collect()),
+        Kind::I16 => Values::I16(numbers.map(|n| n as i16).collect()),
+        Kind::I32 => Values::I32(numbers.map(|n| n as i32).collect()),
+        _ => Values::I64(numbers.collect()),
+    }
+}

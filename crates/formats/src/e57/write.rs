@@ -1,0 +1,277 @@
+//! A cloud to scans.
+
+use std::io::Cursor;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+
+use ::e57::{
+    E57Writer, Extension, IntensityLimits, Record, RecordDataType, RecordName, RecordValue, Transform,
+    Translation,
+};
+use sha2::{Digest, Sha256};
+
+use super::super::FormatError;
+use super::super::xyz::MAX_COLUMNS;
+use super::{NORMALS, OURS, SCAN, STANDARD, tag};
+use densecloud_cloud::{Attribute, Origin, Position, Values, each_kind};
+
+/// A column of the file.
+struct Column<'a> {
+    record: Record,
+    values: &'a Values,
+    /// What is added to whole numbers.
+    shift: i64,
+}
+
+/// Names of the attributes that the format cannot hold: 64-bit integers too far apart for its own.
+pub(in super::super) fn not_held(attributes: &[Attribute]) -> Vec<String> {
+    let cannot = |(i, a): &(usize, &Attribute)| *i >= MAX_COLUMNS || data_type(&a.values).is_none();
+    attributes.iter().enumerate().filter(cannot).map(|(_, a)| a.name.clone()).collect()
+}
+
+/// The file as bytes. An attribute `scan` that numbers the points' scans from 0 splits them into scans
+/// again; a single scan stands where its sensor stood.
+///
+/// # Errors
+/// None that a cloud can cause; but the file is made by a crate that has some.
+pub(in super::super) fn encode(
+    positions: &[Position],
+    attributes: &[Attribute],
+    origin: &Origin,
+) -> Result<Vec<u8>, FormatError> {
+    let made = catch_unwind(AssertUnwindSafe(|| write(positions, attributes, origin)));
+    let why = match made {
+        Ok(Ok(bytes)) => return Ok(bytes),
+        Ok(Err(error)) => error.to_string(),
+        Err(_) => "numbers that it has no place for".to_owned(),
+    };
+    Err(std::io::Error::other(format!("the cloud cannot be written as E57: {why}")).into())
+}
+
+fn write(positions: &[Position], attributes: &[Attribute], origin: &Origin) -> Result<Vec<u8>, ::e57::Error> {
+    let scan = attributes.iter().find(|a| a.name == SCAN).and_then(|a| Some((a, scans(&a.values)?)));
+    let rest: Vec<&Attribute> =
+        attributes.iter().filter(|a| scan.is_none_or(|(s, _)| a.name != s.name)).collect();
+    let columns = columns(&rest);
+    let prototype: Vec<Record> = axes().into_iter().chain(columns.iter().map(|c| c.record.clone())).collect();
+
+    let hash = content_hash(positions, attributes, origin);
+    let mut file = Cursor::new(Vec::new());
+    let mut writer = E57Writer::new(&mut file, &guid(&hash, 0))?;
+    writer.set_coordinate_metadata(origin.crs.as_ref().map(|crs| character_data(&crs.to_string())));
+    for (namespace, url) in [NORMALS, OURS] {
+        let used = |record: &Record| matches!(&record.name, RecordName::Unknown { namespace: n, .. } if n == namespace);
+        if prototype.iter().any(used) {
+            writer.register_extension(Extension::new(namespace, url))?;
+        }
+    }
+    let count = scan.map_or(1, |(_, count)| count);
+    let sensor = origin.sensor.filter(|_| count == 1);
+    let description = character_data(&origin.comments.join("\n"));
+    for number in 0..count {
+        let mut points = writer.add_pointcloud(&guid(&hash, 1 + number as u64), prototype.clone())?;
+        if count > 1 {
+            points.set_name(Some(format!("scan {number}")));
+        }
+        points.set_description((!description.is_empty()).then(|| description.clone()));
+        let [x, y, z] = sensor.unwrap_or_default();
+        points.set_transform(
+            sensor.map(|_| Transform { translation: Translation { x, y, z }, ..Transform::default() }),
+        );
+        if let Some(intensity) = columns.iter().find(|c| c.record.name == RecordName::Intensity) {
+            points.set_intensity_limits(limits(intensity));
+        }
+        for (i, position) in positions.iter().enumerate() {
+            if scan.is_some_and(|(scan, count)| count > 1 && scan.values.get(i) != number as f64) {
+                continue;
+            }
+            let local = [position[0] - x, position[1] - y, position[2] - z];
+            let local = local.into_iter().map(RecordValue::Double);
+            points.add_point(local.chain(columns.iter().map(|column| column.value(i))).collect())?;
+        }
+        points.finalize()?;
+    }
+    writer.finalize()?;
+    drop(writer);
+    Ok(file.into_inner())
+}
+
+fn axes() -> [Record; 3] {
+    [RecordName::CartesianX, RecordName::CartesianY, RecordName::CartesianZ]
+        .map(|name| Record { name, data_type: RecordDataType::F64 })
+}
+
+/// How many scans an attribute numbers, if it numbers more than one, from 0 and without a gap.
+fn scans(values: &Values) -> Option<usize> {
+    /// More scans than any real file has.
+    const MOST: usize = 10_000;
+    if values.kind().is_float() {
+        return None;
+    }
+    let mut seen = Vec::new();
+    for i in 0..values.len() {
+        let number = values.get(i);
+        if !(0.0..MOST as f64).contains(&number) {
+            return None;
+        }
+        let number = number as usize;
+        if number >= seen.len() {
+            seen.resize(number + 1, false);
+        }
+        seen[number] = true;
+    }
+    (seen.len() > 1 && seen.iter().all(|seen| *seen)).then_some(seen.len())
+}
+
+/// The columns of all attributes that the format holds.
+fn columns<'a>(attributes: &[&'a Attribute]) -> Vec<Column<'a>> {
+    let held = |name: &str| {
+        attributes.iter().find(|a| a.name == name && data_type(&a.values).is_some()).map(|a| &a.values)
+    };
+    let normals = [["nx", "ny", "nz"], ["normal_x", "normal_y", "normal_z"]];
+    let normals = normals.into_iter().find(|names| names.iter().all(|name| held(name).is_some()));
+    let mut columns: Vec<Column> = Vec::new();
+    for attribute in attributes.iter().take(MAX_COLUMNS) {
+        let Some(mut data_type) = data_type(&attribute.values) else { continue };
+        let (name, values) = (attribute.name.as_str(), &attribute.values);
+        let standard = STANDARD.iter().find(|(_, own)| *own == name).map(|(record, _)| record.clone());
+        let mut shift = 0;
+        let record = match standard.filter(|record| fits(record, values, held)) {
+            Some(record) => {
+                match (&record, &mut data_type) {
+                    (RecordName::ReturnIndex, RecordDataType::Integer { min, max }) => {
+                        (shift, *min, *max) = (-1, 0, max.saturating_sub(1));
+                    }
+                    _ if is_flag(&record) => data_type = RecordDataType::Integer { min: 0, max: 1 },
+                    _ => {}
+                }
+                record
+            }
+            None => {
+                let axis = normals.and_then(|names| names.iter().position(|axis| *axis == name));
+                let (namespace, mut name) = match axis {
+                    Some(axis) => (NORMALS.0, ["normalX", "normalY", "normalZ"][axis].to_owned()),
+                    None => (OURS.0, tag(name)),
+                };
+                let unknown = |name: &str| RecordName::Unknown {
+                    namespace: namespace.to_owned(),
+                    name: name.to_owned(),
+                };
+                while columns.iter().any(|column| column.record.name == unknown(&name)) {
+                    name.push('_');
+                }
+                unknown(&name)
+            }
+        };
+        columns.push(Column { record: Record { name: record, data_type }, values, shift });
+    }
+    columns
+}
+
+/// Whether these values can stand in a column of the format's own, beside others that are `held`.
+fn fits<'a>(record: &RecordName, values: &Values, held: impl Fn(&str) -> Option<&'a Values>) -> bool {
+    let whole = |values: &Values, lowest: f64, highest: f64| {
+        let within = |i| (lowest..=highest).contains(&values.get(i));
+        !values.kind().is_float() && (0..values.len()).all(within)
+    };
+    let any = |values: &Values| whole(values, f64::MIN, f64::MAX);
+    let flag = whole(values, 0.0, 1.0);
+    let colours = || ["red", "green", "blue"].iter().all(|name| held(name).is_some());
+    match record {
+        RecordName::ColorRed | RecordName::ColorGreen | RecordName::ColorBlue => colours(),
+        RecordName::IsColorInvalid => flag && colours(),
+        RecordName::IsIntensityInvalid => flag && held("intensity").is_some(),
+        RecordName::IsTimeStampInvalid => flag && held("timestamp").is_some(),
+        RecordName::RowIndex | RecordName::ColumnIndex => any(values),
+        RecordName::ReturnIndex | RecordName::ReturnCount => {
+            held("return_number").is_some_and(|numbers| whole(numbers, 1.0, f64::MAX))
+                && held("number_of_returns").is_some_and(any)
+        }
+        _ => true,
+    }
+}
+
+fn is_flag(record: &RecordName) -> bool {
+    matches!(
+        record,
+        RecordName::IsColorInvalid | RecordName::IsIntensityInvalid | RecordName::IsTimeStampInvalid
+    )
+}
+
+/// The type of a column that reads back as the same; none where the numbers span more than 63 bits.
+fn data_type(values: &Values) -> Option<RecordDataType> {
+    let (min, max) = match values {
+        Values::F32(_) => return Some(RecordDataType::F32),
+        Values::F64(_) => return Some(RecordDataType::F64),
+        Values::I8(_) => (i8::MIN.into(), i8::MAX.into()),
+        Values::U8(_) => (0, u8::MAX.into()),
+        Values::I16(_) => (i16::MIN.into(), i16::MAX.into()),
+        Values::U16(_) => (0, u16::MAX.into()),
+        Values::I32(_) => (i32::MIN.into(), i32::MAX.into()),
+        Values::U32(_) => (0, u32::MAX.into()),
+        // A range beyond that of 32 bits, and no wider than the numbers need.
+        Values::I64(v) => {
+            (v.iter().copied().fold(i64::from(i32::MIN) - 1, i64::min), v.iter().copied().fold(0, i64::max))
+        }
+        Values::U64(v) => {
+            let most = v.iter().copied().fold(u64::from(u32::MAX) + 1, u64::max);
+            (0, i64::try_from(most).ok()?)
+        }
+    };
+    i64::checked_sub(max, min)?;
+    Some(RecordDataType::Integer { min, max })
+}
+
+impl Column<'_> {
+    fn value(&self, i: usize) -> RecordValue {
+        match self.values {
+            Values::F32(v) => RecordValue::Single(v[i]),
+            Values::F64(v) => RecordValue::Double(v[i]),
+            Values::I64(v) => RecordValue::Integer(v[i] + self.shift),
+            // Within the range of signed ones, as `data_type` says.
+            Values::U64(v) => RecordValue::Integer(v[i] as i64 + self.shift),
+            // Exact: 32 bits at most.
+            other => RecordValue::Integer(other.get(i) as i64 + self.shift),
+        }
+    }
+}
+
+/// The range of the numbers, which viewers need for shades of grey.
+fn limits(column: &Column) -> Option<IntensityLimits> {
+    let number = |i: usize| column.values.get(i);
+    let all = || (0..column.values.len()).filter(|i| number(*i).is_finite());
+    let lowest = all().min_by(|a, b| number(*a).total_cmp(&number(*b)))?;
+    let highest = all().max_by(|a, b| number(*a).total_cmp(&number(*b)))?;
+    let (lowest, highest) = (column.value(lowest), column.value(highest));
+    Some(IntensityLimits { intensity_min: Some(lowest), intensity_max: Some(highest) })
+}
+
+/// Text without what would end it in XML, or what XML does not allow.
+fn character_data(text: &str) -> String {
+    let allowed = |c: &char| !c.is_control() && !matches!(c, '\u{FFFE}' | '\u{FFFF}') || *c == '\n';
+    text.chars().filter(allowed).collect::<String>().replace("]]>", "]] >")
+}
+
+/// A hash of all that is written: the same cloud has the same identifiers.
+fn content_hash(positions: &[Position], attributes: &[Attribute], origin: &Origin) -> [u8; 32] {
+    let mut hash = Sha256::new();
+    for coordinate in positions.as_flattened() {
+        hash.update(coordinate.to_le_bytes());
+    }
+    for attribute in attributes {
+        hash.update(attribute.name.as_bytes());
+        each_kind!(&attribute.values, column => column.iter().for_each(|v| hash.update(v.to_le_bytes())));
+    }
+    hash.update(format!("{:?} {:?} {:?}", origin.crs, origin.comments, origin.sensor));
+    hash.finalize().into()
+}
+
+/// An identifier of version 8 (RFC 9562), which is for those made by rules of one's own.
+fn guid(content: &[u8; 32], part: u64) -> String {
+    let mut bytes: [u8; 32] =
+        Sha256::new().chain_update(content).chain_update(part.to_le_bytes()).finalize().into();
+    bytes[6] = bytes[6] & 0x0F | 0x80;
+    bytes[8] = bytes[8] & 0x3F | 0x80;
+    let hex =
+        |range: std::ops::Range<usize>| bytes[range].iter().map(|b| format!("{b:02x}")).collect::<String>();
+    format!("{{{}-{}-{}-{}-{}}}", hex(0..4), hex(4..6), hex(6..8), hex(8..10), hex(10..16))
+}

@@ -1,0 +1,56 @@
+//! File formats: bytes in, a [`Cloud`](densecloud_cloud::Cloud) or a [`Mesh`](densecloud_geometry::Mesh)
+//! out, and back.
+//!
+//! | format | clouds | meshes |
+//! |---|---|---|
+//! | PLY (ascii, binary of both byte orders; any scalar types; attributes) | read, write | read |
+//! | XYZ and its relatives (text columns; attributes) | read, write | |
+//! | LAS, LAZ (every point format, extra bytes); COPC, as the LAZ that it is | read, write | |
+//! | PCD (ascii, binary, compressed) | read, write | |
+//! | E57 (all scans, attributes) | read, write | |
+//! | NumPy `.npy` (tables and structures of any numbers) | read, write | |
+//! | OFF | read (vertices) | read |
+//! | OBJ | read (vertices) | |
+//!
+//! A reader is opened first and read second: [`CloudReader::open`] parses the header alone, so that
+//! limits are checked, and a refusal sent, before any point is read. What a header *claims* is never
+//! believed: memory grows with the data, and a claim that the data do not keep is an error that says
+//! where the data ended.
+//!
+//! Everything here is blocking `std::io`, and nothing here panics on bad input.
+//!
+//! ```
+//! use densecloud_formats::{CloudReader, Format, Limits, PlyEncoding, Scalar, encode};
+//!
+//! let text = "0 0 0\n1 0 0\n0 1 0\n";
+//! let cloud = CloudReader::open(text.as_bytes(), Limits::default())?.read()?;
+//! let format = Format::Ply { encoding: PlyEncoding::BinaryLittleEndian, scalar: Scalar::F32 };
+//! let bytes = encode(Vec::new(), format, &cloud.positions, &cloud.attributes, &cloud.origin)?;
+//! assert_eq!(Some(bytes.len() as u64), format.encoded_len(3, &cloud.attributes, &cloud.origin));
+//! # Ok::<(), densecloud_formats::FormatError>(())
+//! ```
+
+mod e57;
+mod error;
+mod format;
+mod las;
+mod mesh;
+mod npy;
+mod obj;
+mod off;
+mod pcd;
+mod ply;
+mod reader;
+mod source;
+#[cfg(test)]
+mod tests;
+mod text;
+mod writer;
+mod xyz;
+
+pub use error::{FormatError, Place};
+pub use format::{Format, Header, Limits, PcdEncoding, PlyEncoding, Scalar, Separator};
+pub use mesh::{read_mesh, read_mesh_file};
+pub use npy::header as npy_header;
+pub use reader::{CloudReader, read_cloud_file};
+pub use writer::{CloudWriter, encode};

@@ -1,0 +1,182 @@
+//! OFF (Object File Format): a keyword, three counts, vertices, faces.
+
+use std::io::Read;
+use std::ops::Range;
+
+use super::mesh::Polygons;
+use super::source::Source;
+use super::text::{next_token, parse_f64, shown, strip_comment};
+use super::xyz::Column;
+use super::{Format, FormatError, Header, Limits, Place};
+use densecloud_cloud::{Attribute, Cloud, Position};
+use densecloud_geometry::Mesh;
+
+/// Whether a file that begins with this token is an OFF file. `COFF`, `NOFF` and `STOFF` add colours,
+/// normals and texture coordinates to vertices; some writers put the first count right behind.
+pub(super) fn is_keyword(token: &[u8]) -> bool {
+    keyword_len(token).is_some()
+}
+
+/// What stands before the vertices.
+#[derive(Debug)]
+pub(super) struct OffHeader {
+    vertices: u32,
+    faces: u32,
+    /// What each vertex has behind its coordinates.
+    normals: bool,
+    colours: bool,
+}
+
+impl OffHeader {
+    /// Reads the keyword and the counts, on its line or the next; `#` comments may be anywhere.
+    fn parse<R: Read>(source: &mut Source<R>) -> Result<Self, FormatError> {
+        let mut line = need_line(source, "the keyword `OFF`")?;
+        let keyword = {
+            let mut rest = source.bytes(line.clone());
+            let token = next_token(&mut rest).unwrap_or_default();
+            let length = keyword_len(token).ok_or_else(|| bad(source, token, "the keyword `OFF`"))?;
+            line.start = line.end - rest.len() - token.len() + length;
+            token[..length].to_vec()
+        };
+        let mut counts = source.bytes(line.clone());
+        if next_token(&mut counts) == Some(b"BINARY") {
+            return Err(FormatError::Unrecognised { found: "binary OFF".into() });
+        }
+        if source.bytes(line.clone()).iter().all(u8::is_ascii_whitespace) {
+            line = need_line(source, "the counts")?;
+        }
+        let mut rest = source.bytes(line);
+        let vertices = whole(source, &mut rest, "the number of vertices")?;
+        let faces = whole(source, &mut rest, "the number of faces")?;
+        let before = keyword.strip_suffix(b"OFF").unwrap_or_default();
+        let before = before.strip_prefix(b"ST").unwrap_or(before);
+        Ok(Self { vertices, faces, normals: before.contains(&b'N'), colours: before.contains(&b'C') })
+    }
+
+    /// Reads the next vertex; gives what is behind its coordinates, too.
+    fn vertex<'a, R: Read>(
+        &self,
+        source: &'a mut Source<R>,
+        number: u32,
+    ) -> Result<(Position, &'a [u8]), FormatError> {
+        let line = need_line(source, &format!("vertex {number} of {}", self.vertices))?;
+        let mut rest = source.bytes(line);
+        let mut vertex = [0.0; 3];
+        for coordinate in &mut vertex {
+            let token = next_token(&mut rest).unwrap_or_default();
+            *coordinate = parse_f64(token).ok_or_else(|| bad(source, token, "a coordinate"))?;
+        }
+        Ok((vertex, rest))
+    }
+
+    /// Reads what stands before the points of a cloud.
+    pub(super) fn open<R: Read>(
+        source: &mut Source<R>,
+        limits: Limits,
+    ) -> Result<(Self, Header), FormatError> {
+        let off = Self::parse(source)?;
+        let points = u64::from(off.vertices);
+        if let Some(limit) = limits.max_points
+            && points > limit
+        {
+            return Err(FormatError::TooManyPoints { points, limit });
+        }
+        let attributes = off.names().iter().map(|name| (*name).to_owned()).collect();
+        let dropped_properties = if off.faces > 0 { vec!["face".to_owned()] } else { Vec::new() };
+        let header = Header { format: Format::Off, points: Some(points), attributes, dropped_properties };
+        Ok((off, header))
+    }
+
+    /// Names of the attributes, in their order.
+    fn names(&self) -> Vec<&'static str> {
+        let mut names = Vec::new();
+        if self.normals {
+            names.extend(["nx", "ny", "nz"]);
+        }
+        if self.colours {
+            names.extend(["red", "green", "blue"]);
+        }
+        names
+    }
+
+    /// Reads the vertices as points, and over the faces.
+    pub(super) fn read<R: Read>(self, source: &mut Source<R>) -> Result<Cloud, FormatError> {
+        let mut cloud = Cloud::default();
+        let names = self.names();
+        let mut columns: Vec<Column> = names.iter().map(|_| Column::new()).collect();
+        for i in 0..self.vertices {
+            let (position, mut rest) = self.vertex(source, i)?;
+            cloud.positions.push(position);
+            for column in &mut columns {
+                column.push(next_token(&mut rest).unwrap_or_default());
+            }
+        }
+        for i in 0..self.faces {
+            need_line(source, &format!("face {i} of {}", self.faces))?;
+        }
+        for (name, column) in names.into_iter().zip(columns) {
+            match column.into_values() {
+                Some(values) => cloud.attributes.push(Attribute { name: name.to_owned(), values }),
+                None => cloud.dropped_properties.push(format!("{name} (text)")),
+            }
+        }
+        Ok(cloud)
+    }
+}
+
+/// Reads an OFF file: a vertex or a face a line. What follows the coordinates of a vertex or the corners of
+/// a face (colours, normals) is skipped.
+pub(super) fn read_mesh<R: Read>(source: &mut Source<R>) -> Result<Mesh, FormatError> {
+    let header = OffHeader::parse(source)?;
+    let mut vertices = Vec::new();
+    for i in 0..header.vertices {
+        vertices.push(header.vertex(source, i)?.0);
+    }
+    let mut polygons = Polygons::default();
+    let mut corners = Vec::new();
+    for i in 0..header.faces {
+        let line = need_line(source, &format!("face {i} of {}", header.faces))?;
+        let mut rest = source.bytes(line);
+        corners.clear();
+        for _ in 0..whole(source, &mut rest, "the number of corners")? {
+            corners.push(whole(source, &mut rest, "the index of a vertex")?);
+        }
+        polygons.push(&corners, source.line());
+    }
+    polygons.into_mesh(vertices)
+}
+
+/// The length of the keyword at the front of a token.
+fn keyword_len(token: &[u8]) -> Option<usize> {
+    let prefix = [b"STCNOFF".as_slice(), b"CNOFF", b"STCOFF", b"STNOFF", b"STOFF", b"COFF", b"NOFF", b"OFF"]
+        .into_iter()
+        .find(|k| token.starts_with(k))?;
+    token[prefix.len()..].iter().all(u8::is_ascii_digit).then_some(prefix.len())
+}
+
+/// The next line that holds more than a comment, without the comment.
+fn need_line<R: Read>(source: &mut Source<R>, what: &str) -> Result<Range<usize>, FormatError> {
+    loop {
+        let Some(line) = source.next_line()? else {
+            return Err(FormatError::truncated(source.line(), format!("{what} is missing")));
+        };
+        let kept = strip_comment(source.bytes(line.clone())).len();
+        let line = line.start..line.start + kept;
+        if !source.bytes(line.clone()).iter().all(u8::is_ascii_whitespace) {
+            return Ok(line);
+        }
+    }
+}
+
+fn whole<R: Read>(source: &Source<R>, rest: &mut &[u8], what: &str) -> Result<u32, FormatError> {
+    let token = next_token(rest).unwrap_or_default();
+    let text = std::str::from_utf8(token).ok();
+    text.and_then(|t| t.parse().ok()).ok_or_else(|| bad(source, token, what))
+}
+
+fn bad<R: Read>(source: &Source<R>, token: &[u8], what: &str) -> FormatError {
+    let at: Place = source.line();
+    let found =
+        if token.is_empty() { "the line ends".to_owned() } else { format!("{} stands", shown(token)) };
+    FormatError::malformed(at, format!("{found} where {what} was expected"))
+}

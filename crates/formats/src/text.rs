@@ -1,0 +1,153 @@
+//! Numbers and columns in text.
+
+use densecloud_cloud::Values;
+
+/// Parses a decimal number; `None` when it is none.
+///
+/// Takes what C libraries print for values that are no numbers, `nan`, `-nan(ind)` and `1.#INF`
+/// among them, because scanners write them for missing returns.
+pub(super) fn parse_f64(token: &[u8]) -> Option<f64> {
+    let text = std::str::from_utf8(token).ok()?;
+    text.parse().ok().or_else(|| non_finite(text))
+}
+
+/// As [`parse_f64`], rounded once to 32 bits.
+pub(super) fn parse_f32(token: &[u8]) -> Option<f32> {
+    let text = std::str::from_utf8(token).ok()?;
+    text.parse().ok().or_else(|| non_finite(text).map(|v| v as f32))
+}
+
+/// Appends a number to a column, exactly; `None` when the column's type has no such number. Whole
+/// numbers may be written as floats (`255.0`).
+pub(super) fn push_number(values: &mut Values, token: &[u8]) -> Option<()> {
+    macro_rules! push {
+        ($($int:ident $number:ty),*) => {
+            match values {
+                Values::F32(column) => column.push(parse_f32(token)?),
+                Values::F64(column) => column.push(parse_f64(token)?),
+                $(Values::$int(column) => {
+                    let exact = std::str::from_utf8(token).ok()?.parse().ok();
+                    column.push(exact.or_else(|| {
+                        let value = parse_f64(token)?;
+                        ((value as $number) as f64 == value).then_some(value as $number)
+                    })?);
+                })*
+            }
+        };
+    }
+    push!(I8 i8, U8 u8, I16 i16, U16 u16, I32 i32, U32 u32, I64 i64, U64 u64);
+    Some(())
+}
+
+fn non_finite(text: &str) -> Option<f64> {
+    let (sign, digits) = match text.as_bytes().first()? {
+        b'-' => (-1.0, &text[1..]),
+        b'+' => (1.0, &text[1..]),
+        _ => (1.0, text),
+    };
+    let digits = digits.to_ascii_lowercase();
+    if digits.starts_with("1.#inf") {
+        Some(sign * f64::INFINITY)
+    } else if digits.starts_with("nan(") || digits.starts_with("1.#") {
+        Some(f64::NAN)
+    } else {
+        None
+    }
+}
+
+/// Cuts the next token, delimited by white space, from the front of `line`.
+pub(super) fn next_token<'a>(line: &mut &'a [u8]) -> Option<&'a [u8]> {
+    let from = line.iter().position(|b| !is_space(*b))?;
+    let rest = &line[from..];
+    let to = rest.iter().position(|b| is_space(*b)).unwrap_or(rest.len());
+    *line = &rest[to..];
+    Some(&rest[..to])
+}
+
+/// Cuts the next field from the front of `line`: white space separates, and so do one comma or one
+/// semicolon with any white space about it. Two commas in a row hold an empty field between them.
+pub(super) fn next_field<'a>(line: &mut &'a [u8]) -> Option<&'a [u8]> {
+    let from = line.iter().position(|b| !is_space(*b))?;
+    let rest = &line[from..];
+    let to = rest.iter().position(|b| is_space(*b) || is_comma(*b)).unwrap_or(rest.len());
+    let (field, after) = rest.split_at(to);
+    *line = match after.iter().position(|b| !is_space(*b)) {
+        Some(i) if is_comma(after[i]) => &after[i + 1..],
+        Some(i) => &after[i..],
+        None => &[],
+    };
+    Some(field)
+}
+
+/// `line` without a comment that `#` or `//` begins.
+pub(super) fn strip_comment(line: &[u8]) -> &[u8] {
+    let end = line
+        .iter()
+        .enumerate()
+        .position(|(i, b)| *b == b'#' && !is_number_hash(line, i) || line[i..].starts_with(b"//"));
+    &line[..end.unwrap_or(line.len())]
+}
+
+/// Whether the `#` at `i` belongs to a Windows non-number such as `1.#INF`.
+fn is_number_hash(line: &[u8], i: usize) -> bool {
+    line[..i].ends_with(b"1.")
+}
+
+/// A token as an error message shows it: short and printable.
+pub(super) fn shown(token: &[u8]) -> String {
+    const MOST: usize = 40;
+    let text: String = String::from_utf8_lossy(&token[..token.len().min(MOST)])
+        .chars()
+        .map(|c| if c.is_control() { '\u{FFFD}' } else { c })
+        .collect();
+    if token.len() > MOST { format!("`{text}…`") } else { format!("`{text}`") }
+}
+
+fn is_space(b: u8) -> bool {
+    matches!(b, b' ' | b'\t' | b'\r' | b'\n' | 0x0B | 0x0C)
+}
+
+fn is_comma(b: u8) -> bool {
+    matches!(b, b',' | b';')
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn fields(mut line: &[u8]) -> Vec<String> {
+        std::iter::from_fn(|| next_field(&mut line).map(|f| String::from_utf8_lossy(f).into_owned()))
+            .collect()
+    }
+
+    #[test]
+    fn fields_are_split_at_space_comma_and_semicolon() {
+        assert_eq!(fields(b"1 2\t3"), ["1", "2", "3"]);
+        assert_eq!(fields(b" 1, 2 ,3;4\r"), ["1", "2", "3", "4"]);
+        assert_eq!(fields(b"1,,3"), ["1", "", "3"]);
+        assert_eq!(fields(b"1,2,3,"), ["1", "2", "3"]);
+        assert_eq!(fields(b"  \r"), [""; 0]);
+    }
+
+    #[test]
+    fn numbers_and_non_numbers_are_parsed() {
+        assert_eq!(parse_f64(b"-1.5e3"), Some(-1500.0));
+        assert_eq!(parse_f64(b"+7"), Some(7.0));
+        assert_eq!(parse_f64(b"-inf"), Some(f64::NEG_INFINITY));
+        assert_eq!(parse_f64(b"-1.#INF00"), Some(f64::NEG_INFINITY));
+        for nan in [b"nan".as_slice(), b"NaN", b"-nan(ind)", b"1.#QNAN", b"-1.#IND"] {
+            assert!(parse_f64(nan).expect("a number").is_nan());
+            assert!(parse_f32(nan).expect("a number").is_nan());
+        }
+        for bad in [b"".as_slice(), b"x", b"1,5", b"0x10", b"\xFF", b"-", b"\xC3\xA9"] {
+            assert_eq!(parse_f64(bad), None);
+        }
+    }
+
+    #[test]
+    fn comments_end_a_line() {
+        assert_eq!(strip_comment(b"1 2 3 # four"), b"1 2 3 ");
+        assert_eq!(strip_comment(b"// X Y Z"), b"");
+        assert_eq!(strip_comment(b"1.#INF 2"), b"1.#INF 2");
+    }
+}

@@ -1,0 +1,200 @@
+//! The same sampling, block by block and on all threads.
+//!
+//! What a choice changes lies within its own distance to the points before it, its radius. So far
+//! from each other, choices do not depend on their order: the plain algorithm's result is the points
+//! in descending order of the radius at which each is chosen, and a point may be chosen as soon as it
+//! lies within no larger radius of a point that is left. Each block (a cell of a k-d tree, small enough for
+//! a core's cache) goes on by itself until its next point has such a rival in a block beside it. Blocks
+//! beside each other take turns, by a colouring; the others run at once.
+//!
+//! Exact, ties included, and the same on any number of threads.
+
+use rayon::prelude::*;
+
+use super::{Item, Key, Tree};
+use crate::kdtree::squared;
+use densecloud_cloud::Point;
+
+/// Choices a block until which they are made one after the other: before, every block is beside every other.
+const ALONE: usize = 8;
+/// A turn ends where the squared radius has fallen to this share of the largest left: little is chosen
+/// beyond the number wanted, and no block waits for long.
+const TURN: f32 = 0.9;
+/// Which blocks lie beside each other is found anew when the largest squared radius has fallen to this share.
+const ANEW: f32 = 0.5;
+
+/// As [`super::farthest_point_sampling`], by blocks of at most `size` points.
+pub(super) fn sample(points: &[Point], count: usize, first: u32, size: usize) -> Vec<u32> {
+    let mut items: Vec<Item> = points.iter().copied().zip(0..).collect();
+    let mut cells = Vec::new();
+    split(&mut items, size, &mut cells);
+    let trees: Vec<Tree> = cells.into_par_iter().map(Tree::over).collect();
+    drop(items);
+    let mut blocks =
+        Blocks { beside: vec![Vec::new(); trees.len()], trees: trees.into_iter().map(Some).collect() };
+
+    let mut chosen = vec![first];
+    blocks.take_note(&[(points[first as usize], first)]);
+    while chosen.len() < count.min(ALONE * blocks.trees.len()) {
+        let next = blocks.top().index();
+        chosen.push(next);
+        blocks.take_note(&[(points[next as usize], next)]);
+    }
+    // From here on out of order.
+    let mut later: Vec<Key> = Vec::new();
+    let (mut colours, mut adjacent_for) = (Vec::new(), f32::INFINITY);
+    loop {
+        let missing = count - chosen.len();
+        let top = blocks.top();
+        // Whatever is left comes after the last one wanted.
+        if missing == 0
+            || later.len() >= missing && top < *later.select_nth_unstable_by(missing - 1, descending).1
+        {
+            break;
+        }
+        if top.distance() <= ANEW * adjacent_for {
+            adjacent_for = top.distance();
+            colours = blocks.meet(adjacent_for);
+        }
+        for colour in &colours {
+            later.extend(blocks.turn(colour, top.distance(), points));
+        }
+    }
+    let missing = count - chosen.len();
+    later.par_sort_unstable_by(descending);
+    chosen.extend(later[..missing].iter().map(|key| key.index()));
+    chosen
+}
+
+fn descending(a: &Key, b: &Key) -> std::cmp::Ordering {
+    b.cmp(a)
+}
+
+/// Halves the points until no more than `size` are left.
+fn split<'a>(items: &'a mut [Item], size: usize, cells: &mut Vec<&'a mut [Item]>) {
+    if items.len() <= size {
+        cells.push(items);
+        return;
+    }
+    let (left, right) = super::halves(items, items.len() / 2);
+    let (mut before, mut after) = (Vec::new(), Vec::new());
+    rayon::join(|| split(left, size, &mut before), || split(right, size, &mut after));
+    cells.append(&mut before);
+    cells.append(&mut after);
+}
+
+struct Blocks {
+    /// None while its turn is on.
+    trees: Vec<Option<Tree>>,
+    /// For each block those that a choice in it may change, and whose choices may change it.
+    beside: Vec<Vec<usize>>,
+}
+
+impl Blocks {
+    /// The point farthest from all chosen ones.
+    fn top(&self) -> Key {
+        self.trees.iter().flatten().map(|tree| tree.nodes[0].key).max().unwrap_or(Key::NONE)
+    }
+
+    /// Tells every block of these choices.
+    fn take_note(&mut self, chosen: &[Item]) {
+        for tree in self.trees.iter_mut().flatten() {
+            tree.take_note(chosen);
+        }
+    }
+
+    /// Finds which blocks are nearer to each other than the root of `radius_squared`, and gives each a
+    /// colour that none beside it has: the blocks of each colour.
+    fn meet(&mut self, radius_squared: f32) -> Vec<Vec<usize>> {
+        let boxes: Vec<(Point, Point)> =
+            self.trees.iter().flatten().map(|t| (t.nodes[0].lo, t.nodes[0].hi)).collect();
+        let near = |(lo, hi): &(Point, Point), (other_lo, other_hi): &(Point, Point)| {
+            squared(std::array::from_fn(|a| (lo[a] - other_hi[a]).max(other_lo[a] - hi[a]).max(0.0)))
+                <= radius_squared
+        };
+        let beside = |i: usize| (0..boxes.len()).filter(|&j| j != i && near(&boxes[i], &boxes[j])).collect();
+        self.beside = (0..boxes.len()).into_par_iter().map(beside).collect();
+        let mut colours: Vec<Vec<usize>> = Vec::new();
+        let mut colour_of = vec![usize::MAX; boxes.len()];
+        for block in 0..boxes.len() {
+            let free = |colour: &usize| self.beside[block].iter().all(|&b| colour_of[b] != *colour);
+            let colour = (0..colours.len()).find(free).unwrap_or(colours.len());
+            if colour == colours.len() {
+                colours.push(Vec::new());
+            }
+            colours[colour].push(block);
+            colour_of[block] = colour;
+        }
+        colours
+    }
+
+    /// The turn of `blocks`, none beside another: each chooses until its squared radius has fallen from
+    /// the largest one, `top`, or it has a rival. Returns the choices.
+    fn turn(&mut self, blocks: &[usize], top: f32, points: &[Point]) -> Vec<Key> {
+        let mut active: Vec<(usize, Tree)> =
+            blocks.iter().filter_map(|&b| Some((b, self.trees[b].take()?))).collect();
+        let choices: Vec<Vec<Key>> = active
+            .par_iter_mut()
+            .map(|(block, tree)| {
+                let rivals = || self.beside[*block].iter().filter_map(|&b| self.trees[b].as_ref());
+                let mut choices = Vec::new();
+                loop {
+                    let key = tree.nodes[0].key;
+                    let radius = key.distance();
+                    // Negative: all are chosen. (The largest one goes on even where the product is rounded up to it.)
+                    if radius < 0.0 || radius <= TURN * top && radius < top {
+                        return choices;
+                    }
+                    let at = points[key.index() as usize];
+                    if rivals().any(|rival| rival.has_rival_of(at, key)) {
+                        return choices;
+                    }
+                    choices.push(key);
+                    tree.choose(at, key.index());
+                }
+            })
+            .collect();
+        let mut fresh: Vec<Vec<Item>> = vec![Vec::new(); self.trees.len()];
+        for ((block, tree), choices) in active.into_iter().zip(&choices) {
+            self.trees[block] = Some(tree);
+            for key in choices {
+                fresh[block].push((points[key.index() as usize], key.index()));
+            }
+        }
+        self.trees.par_iter_mut().zip(&self.beside).for_each(|(tree, beside)| {
+            if let Some(tree) = tree {
+                beside.iter().for_each(|&b| tree.take_note(&fresh[b]));
+            }
+        });
+        choices.concat()
+    }
+}
+
+impl Tree {
+    fn take_note(&mut self, chosen: &[Item]) {
+        for &(at, index) in chosen {
+            if self.nodes[0].is_reached_from(at) {
+                self.choose(at, index);
+            }
+        }
+    }
+
+    /// Whether a point comes before that of `key` and one of the two is within the other's radius, which is
+    /// to say within the larger, the former's.
+    fn has_rival_of(&self, at: Point, key: Key) -> bool {
+        self.rival(0, 0, self.buckets.len(), at, key)
+    }
+
+    fn rival(&self, node: usize, start: usize, end: usize, at: Point, key: Key) -> bool {
+        let here = &self.nodes[node];
+        let offset = std::array::from_fn(|a| (here.lo[a] - at[a]).max(at[a] - here.hi[a]).max(0.0));
+        if here.key < key || squared(offset) >= here.key.distance() {
+            return false;
+        }
+        if end - start == 1 {
+            return self.buckets[start].rival(at, key);
+        }
+        let middle = start + (end - start) / 2;
+        self.rival(2 * node + 1, start, middle, at, key) || self.rival(2 * node + 2, middle, end, at, key)
+    }
+}

@@ -1,0 +1,324 @@
+//! Farthest point sampling with a spatial index.
+
+mod blocks;
+
+use super::kdtree::{bounds, squared};
+use densecloud_cloud::Point;
+
+/// Points in a bucket. All buckets are full but the last, and a bucket is one block of memory, so
+/// that its update is straight-line vector code.
+const BUCKET: usize = 16;
+/// Points in a block at most: what a core's cache holds.
+const BLOCK: usize = 1 << 13;
+/// From this many points on blocks are faster on two threads.
+const BLOCKS_FROM: usize = 1 << 17;
+/// The distance of a point that has been chosen: below every real one.
+const CHOSEN: f32 = -1.0;
+
+/// Indices of `count` points, spread as evenly as can be: the first is `first` (clamped to the
+/// last point), and each next one is the point farthest from all those before, ties by the
+/// lowest index. All points when there are fewer than `count`; no index comes twice, so
+/// duplicates come last.
+///
+/// Exact: the same indices as the plain algorithm, which compares every point with every chosen
+/// one; squared distances are `f32`. Here the points are in the buckets of a k-d tree. Each node
+/// knows its bounding box and its farthest point, so a new choice descends only where it is nearer
+/// than the farthest point so far (the idea of Han et al., "QuickFPS", 2023), and the next choice
+/// is read off the root. About O((n + count) log n) on surfaces. Large clouds are sampled block by
+/// block on all threads of the current pool, with the same result.
+///
+/// Precondition: coordinates are finite.
+///
+/// ```
+/// use densecloud_geometry::farthest_point_sampling;
+///
+/// let line: Vec<_> = (0..9).map(|i| [i as f32, 0.0, 0.0]).collect();
+/// assert_eq!(farthest_point_sampling(&line, 4, 0), [0, 8, 4, 2]);
+/// ```
+#[must_use]
+pub fn farthest_point_sampling(points: &[Point], count: usize, first: usize) -> Vec<u32> {
+    let count = count.min(points.len());
+    if count == 0 {
+        return Vec::new();
+    }
+    let first = first.min(points.len() - 1) as u32;
+    if points.len() > BLOCKS_FROM {
+        return blocks::sample(points, count, first, BLOCK);
+    }
+    in_turn(points, count, first)
+}
+
+/// One point after the other, on one thread.
+fn in_turn(points: &[Point], count: usize, first: u32) -> Vec<u32> {
+    let mut chosen = Vec::with_capacity(count);
+    let mut tree = Tree::new(points);
+    let mut next = first;
+    loop {
+        chosen.push(next);
+        if chosen.len() == count {
+            return chosen;
+        }
+        tree.choose(points[next as usize], next);
+        next = tree.nodes[0].key.index();
+    }
+}
+
+/// A point and its index.
+type Item = (Point, u32);
+
+/// A complete description of where every point stands: its bucket's block holds the squared
+/// distance to the nearest chosen point.
+struct Tree {
+    /// The children of node `i` are `2 i + 1` and `2 i + 2`; a node over one bucket is a leaf.
+    nodes: Vec<Node>,
+    buckets: Vec<Bucket>,
+}
+
+#[derive(Clone, Copy)]
+struct Node {
+    lo: Point,
+    hi: Point,
+    /// The farthest point below this node.
+    key: Key,
+}
+
+/// A squared distance (of a point that is not chosen, so not negative) above an index, ordered by
+/// distance and then by lower index, in one integer.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+struct Key(i64);
+
+impl Key {
+    /// Below the key of any point.
+    const NONE: Self = Self(i64::MIN);
+
+    fn new(distance: f32, index: u32) -> Self {
+        // The sign of CHOSEN survives, so its key is below all others, too.
+        Self(i64::from(distance.to_bits() as i32) << 32 | i64::from(!index))
+    }
+
+    fn distance(self) -> f32 {
+        f32::from_bits((self.0 >> 32) as u32)
+    }
+
+    fn index(self) -> u32 {
+        !(self.0 as u32)
+    }
+}
+
+/// Up to 16 points, ascending by index; unused places count as chosen.
+#[derive(Clone)]
+struct Bucket {
+    x: [f32; BUCKET],
+    y: [f32; BUCKET],
+    z: [f32; BUCKET],
+    /// Squared distance to the nearest chosen point.
+    distance: [f32; BUCKET],
+    index: [u32; BUCKET],
+}
+
+impl Bucket {
+    /// Takes a chosen point into account; returns the farthest point now.
+    fn update(&mut self, q: Point, chosen: u32) -> Key {
+        for i in 0..BUCKET {
+            let d = squared([self.x[i] - q[0], self.y[i] - q[1], self.z[i] - q[2]]);
+            let d = if self.index[i] == chosen { CHOSEN } else { d };
+            self.distance[i] = if d < self.distance[i] { d } else { self.distance[i] };
+        }
+        self.farthest()
+    }
+
+    /// Whether a point comes before that of `key` and has it within its radius.
+    fn rival(&self, at: Point, key: Key) -> bool {
+        (0..BUCKET).any(|i| {
+            let d = squared([self.x[i] - at[0], self.y[i] - at[1], self.z[i] - at[2]]);
+            d < self.distance[i] && Key::new(self.distance[i], self.index[i]) > key
+        })
+    }
+
+    fn farthest(&self) -> Key {
+        // Four maxima at once, then one: a chain of 16 comparisons is the slowest way.
+        let mut best: [f32; 4] = std::array::from_fn(|i| self.distance[i]);
+        for chunk in self.distance[4..].chunks_exact(4) {
+            for (b, &d) in best.iter_mut().zip(chunk) {
+                *b = if d > *b { d } else { *b };
+            }
+        }
+        let best = best.into_iter().fold(CHOSEN, f32::max);
+        let place = self.distance.iter().position(|&d| d == best).unwrap_or(0);
+        Key::new(best, self.index[place])
+    }
+}
+
+impl Tree {
+    fn new(points: &[Point]) -> Self {
+        Self::over(&mut points.iter().copied().zip(0..).collect::<Vec<_>>())
+    }
+
+    fn over(items: &mut [Item]) -> Self {
+        let buckets = items.len().div_ceil(BUCKET);
+        let empty = Node { lo: [f32::INFINITY; 3], hi: [f32::NEG_INFINITY; 3], key: Key::NONE };
+        let mut tree = Self {
+            nodes: vec![empty; 2 * buckets.next_power_of_two() - 1],
+            buckets: Vec::with_capacity(buckets),
+        };
+        tree.build(0, items);
+        tree
+    }
+
+    /// Buckets are made left to right, so a node's buckets follow from its place alone.
+    fn build(&mut self, node: usize, items: &mut [Item]) {
+        let (lo, hi) = bounds(items);
+        let buckets = items.len().div_ceil(BUCKET);
+        if buckets <= 1 {
+            // In a bucket the first of equal distances is the one of the lowest index.
+            items.sort_unstable_by_key(|&(_, i)| i);
+            let bucket = bucket(items);
+            self.nodes[node] = Node { lo, hi, key: bucket.farthest() };
+            self.buckets.push(bucket);
+            return;
+        }
+        let (left, right) = halves(items, buckets / 2 * BUCKET);
+        self.build(2 * node + 1, left);
+        self.build(2 * node + 2, right);
+        let key = self.nodes[2 * node + 1].key.max(self.nodes[2 * node + 2].key);
+        self.nodes[node] = Node { lo, hi, key };
+    }
+
+    fn choose(&mut self, q: Point, index: u32) {
+        let buckets = self.buckets.len();
+        self.descend(0, 0, buckets, q, index);
+    }
+
+    /// Updates the buckets `start..end` of `node`, where that can change anything.
+    fn descend(&mut self, node: usize, start: usize, end: usize, q: Point, index: u32) {
+        if end - start == 1 {
+            self.nodes[node].key = self.buckets[start].update(q, index);
+            return;
+        }
+        let middle = start + (end - start) / 2;
+        let (left, right) = (2 * node + 1, 2 * node + 2);
+        if self.nodes[left].is_reached_from(q) {
+            self.descend(left, start, middle, q, index);
+        }
+        if self.nodes[right].is_reached_from(q) {
+            self.descend(right, middle, end, q, index);
+        }
+        self.nodes[node].key = self.nodes[left].key.max(self.nodes[right].key);
+    }
+}
+
+impl Node {
+    /// Whether `q` may be nearer to some point here than what was chosen before. The distance to
+    /// the box is computed as that to a point is; rounding is monotone, so it is never above the
+    /// computed distance of a point inside. Equality matters where it marks `q` itself as chosen.
+    fn is_reached_from(&self, q: Point) -> bool {
+        let offset = std::array::from_fn(|a| (self.lo[a] - q[a]).max(q[a] - self.hi[a]).max(0.0));
+        squared(offset) <= self.key.distance()
+    }
+}
+
+/// The first `middle` points along the longest side of their box, and the others; ties by index make
+/// the two unique.
+fn halves(items: &mut [Item], middle: usize) -> (&mut [Item], &mut [Item]) {
+    let (lo, hi) = bounds(items);
+    let side = |a: usize| hi[a] - lo[a];
+    let axis = (1..3).fold(0, |best, a| if side(a) > side(best) { a } else { best });
+    items.select_nth_unstable_by(middle, |(p, i), (q, j)| p[axis].total_cmp(&q[axis]).then(i.cmp(j)));
+    items.split_at_mut(middle)
+}
+
+fn bucket(items: &[Item]) -> Bucket {
+    let mut bucket = Bucket {
+        x: [0.0; BUCKET],
+        y: [0.0; BUCKET],
+        z: [0.0; BUCKET],
+        distance: [CHOSEN; BUCKET],
+        index: [u32::MAX; BUCKET],
+    };
+    for (place, &([x, y, z], index)) in items.iter().enumerate() {
+        (bucket.x[place], bucket.y[place], bucket.z[place]) = (x, y, z);
+        (bucket.distance[place], bucket.index[place]) = (f32::INFINITY, index);
+    }
+    bucket
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::Rng;
+    use super::*;
+    use proptest::prelude::*;
+
+    fn plain(points: &[Point], count: usize, first: usize) -> Vec<u32> {
+        let count = count.min(points.len());
+        let mut nearest = vec![f32::INFINITY; points.len()];
+        let mut chosen = Vec::new();
+        let mut next = first.min(points.len().saturating_sub(1));
+        while chosen.len() < count {
+            chosen.push(next as u32);
+            let q = points[next];
+            for (d, p) in nearest.iter_mut().zip(points) {
+                *d = d.min(squared([p[0] - q[0], p[1] - q[1], p[2] - q[2]]));
+            }
+            let mut best: Option<usize> = None;
+            for i in (0..points.len()).filter(|&i| !chosen.contains(&(i as u32))) {
+                if best.is_none_or(|b| nearest[i] > nearest[b]) {
+                    best = Some(i);
+                }
+            }
+            next = best.unwrap_or(0);
+        }
+        chosen
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(96))]
+        #[test]
+        fn chooses_what_the_plain_algorithm_chooses(
+            seed in any::<u64>(), n in 0usize..300, share in 0.0f64..1.2, first in 0usize..320, kind in 0u8..5,
+        ) {
+            let mut rng = Rng::new(seed);
+            let points: Vec<Point> = (0..n)
+                .map(|_| {
+                    let p: Point = std::array::from_fn(|_| (2.0 * rng.f64() - 1.0) as f32);
+                    match kind {
+                        0 => p,
+                        1 => p.map(|c| (c * 2.0).round()), // ties and duplicates
+                        2 => p.map(|c| (c * 8.0).round() / 8.0), // a grid
+                        3 => [p[0], p[0], p[0]], // a line
+                        _ => [0.5; 3],
+                    }
+                })
+                .collect();
+            let count = (n as f64 * share) as usize;
+            let wanted = plain(&points, count, first);
+            prop_assert_eq!(&farthest_point_sampling(&points, count, first), &wanted);
+            if n > 0 && count > 0 {
+                let first = first.min(n - 1) as u32;
+                prop_assert_eq!(&blocks::sample(&points, count.min(n), first, 20), &wanted);
+            }
+        }
+    }
+
+    #[test]
+    fn blocks_choose_what_one_tree_chooses() {
+        let mesh = crate::shape("knot").expect("a built-in shape");
+        let points: Vec<Point> =
+            crate::uniform(&mesh, 40_000, 1).expect("points").iter().map(|p| p.map(|c| c as f32)).collect();
+        for count in [1000, 15_000, 40_000] {
+            let wanted = in_turn(&points, count, 7);
+            for threads in [1, 3] {
+                let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
+                assert!(pool.install(|| blocks::sample(&points, count, 7, 3000)) == wanted, "{count} points");
+            }
+        }
+    }
+
+    #[test]
+    fn every_point_is_chosen_once_even_among_duplicates() {
+        let points = [[0.0; 3], [0.0; 3], [1.0, 0.0, 0.0], [0.0; 3]];
+        assert_eq!(farthest_point_sampling(&points, 4, 1), [1, 2, 0, 3]);
+        assert_eq!(farthest_point_sampling(&points, 9, 9), [3, 2, 0, 1]);
+        assert!(farthest_point_sampling(&[], 3, 0).is_empty());
+        assert!(farthest_point_sampling(&points, 0, 0).is_empty());
+    }
+}

@@ -1,0 +1,457 @@
+//! Exact nearest neighbours by a k-d tree of our own.
+
+use densecloud_cloud::Point;
+
+/// Points in a leaf at most; leaves hold between half of this and this.
+const LEAF: usize = 32;
+/// Halves of more points than this are built in parallel: less is not worth a task.
+const PARALLEL: usize = 1 << 13;
+/// Up to this many neighbours are kept sorted, which is faster than a heap for few.
+const SORTED_MAX: usize = 64;
+
+/// The key of no point: above all others.
+const NOTHING: u64 = u64::MAX;
+
+/// A point found near a query.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Neighbour {
+    /// Index of the point in the slice that the tree was made from.
+    pub index: u32,
+    /// Its squared distance, in `f32` as `dx * dx + dy * dy + dz * dz`.
+    pub distance_squared: f32,
+}
+
+/// Where [`KdTree::nearest_next`] is, and what it found there, as [`KdTree::nearest`] gives it.
+#[derive(Debug, Clone, Default)]
+pub struct Walk {
+    /// The last answer.
+    pub found: Vec<Neighbour>,
+    at: Point,
+}
+
+/// A balanced k-d tree over points, which it copies into leaf order.
+///
+/// Exact: the same neighbours in the same order as comparing all squared distances (in `f32`),
+/// ties by the lowest index. Query in the order of [`KdTree::order`] when all points are
+/// queried: that is about twice as fast.
+///
+/// Precondition: coordinates are finite. With NaN inside, nothing panics, and the result means
+/// nothing.
+///
+/// ```
+/// use densecloud_geometry::KdTree;
+///
+/// let tree = KdTree::new(&[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [5.0, 0.0, 0.0]]);
+/// let mut found = Vec::new();
+/// tree.nearest([0.9, 0.0, 0.0], 2, &mut found);
+/// assert_eq!(found.iter().map(|n| n.index).collect::<Vec<_>>(), [1, 0]);
+/// ```
+#[derive(Debug, Clone)]
+pub struct KdTree {
+    /// Original index of the point at each place.
+    order: Vec<u32>,
+    /// Coordinates in leaf order, one array an axis, so that a leaf's distances vectorise.
+    axes: [Vec<f32>; 3],
+    /// Inner nodes of a complete binary tree from left to right, so that a subtree's are together.
+    /// The range of a node is halved exactly, so ranges need not be stored.
+    splits: Vec<Split>,
+    /// Number of levels of inner nodes.
+    depth: u32,
+    lo: Point,
+    hi: Point,
+}
+
+/// Points at or below `value` on `axis` are to the left (ties may be on both sides).
+#[derive(Debug, Clone, Copy, Default)]
+struct Split {
+    axis: u32,
+    value: f32,
+}
+
+impl KdTree {
+    /// Builds the tree: O(n log n), on all threads of the current pool. An empty slice gives a tree
+    /// that finds nothing.
+    ///
+    /// At most 2^32 points; more are ignored.
+    #[must_use]
+    pub fn new(points: &[Point]) -> Self {
+        let n = points.len().min(u32::MAX as usize);
+        let mut depth = 0;
+        while n.div_ceil(1 << depth) > LEAF {
+            depth += 1;
+        }
+        let mut items: Vec<(Point, u32)> = points[..n].iter().copied().zip(0..).collect();
+        let mut splits = vec![Split::default(); (1 << depth) - 1];
+        build(&mut items, depth, &mut splits);
+        let (lo, hi) = bounds(&items);
+        Self {
+            order: items.iter().map(|&(_, i)| i).collect(),
+            axes: std::array::from_fn(|a| items.iter().map(|(p, _)| p[a]).collect()),
+            splits,
+            depth,
+            lo,
+            hi,
+        }
+    }
+
+    /// Builds the tree and puts the points into its order: index `i` is then the `i`th of the points
+    /// that come back, and points near each other mostly lie near each other in memory.
+    #[must_use]
+    pub fn in_order(points: &[Point]) -> (Self, Vec<Point>) {
+        let mut tree = Self::new(points);
+        let sorted = tree.order.iter().map(|&i| points[i as usize]).collect();
+        tree.order = (0..tree.order.len() as u32).collect();
+        (tree, sorted)
+    }
+
+    /// Number of points.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.order.len()
+    }
+
+    /// Whether there is no point.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.order.is_empty()
+    }
+
+    /// The indices of all points, near ones mostly near each other: a good order for queries.
+    #[must_use]
+    pub fn order(&self) -> &[u32] {
+        &self.order
+    }
+
+    /// The `k` nearest points, ascending by distance, ties by index; all when there are fewer.
+    /// `out` is cleared first; its capacity is reused.
+    pub fn nearest(&self, query: Point, k: usize, out: &mut Vec<Neighbour>) {
+        self.nearest_below(query, k, NOTHING, out);
+    }
+
+    /// As [`KdTree::nearest`], into `walk.found`, for a row of queries near each other: the last
+    /// answer bounds the next one. A walk belongs to one tree and one `k`.
+    pub fn nearest_next(&self, query: Point, k: usize, walk: &mut Walk) {
+        let limit = match walk.found.last() {
+            // The k points found are no further than this, by the triangle inequality; rounding may
+            // take a few of the last bits.
+            Some(last) if walk.found.len() == k => {
+                let step = squared(std::array::from_fn(|a| query[a] - walk.at[a])).sqrt();
+                let reach = (last.distance_squared.sqrt() + step) * (1.0 + 1e-5);
+                u64::from((reach * reach).to_bits()) << 32 | u64::from(u32::MAX)
+            }
+            _ => NOTHING,
+        };
+        self.nearest_below(query, k, limit, &mut walk.found);
+        walk.at = query;
+    }
+
+    /// `limit`: a key above those of the answer.
+    fn nearest_below(&self, query: Point, k: usize, limit: u64, out: &mut Vec<Neighbour>) {
+        out.clear();
+        let k = k.min(self.len());
+        if k == 0 {
+            return;
+        }
+        if k <= SORTED_MAX {
+            let mut best = Sorted { keys: [limit; SORTED_MAX], k };
+            self.search(query, &mut best);
+            out.extend(best.keys[..k].iter().map(|&key| neighbour(key)));
+        } else {
+            let mut best = Pool { keys: Vec::with_capacity(2 * k), k, worst: limit };
+            self.search(query, &mut best);
+            best.shrink();
+            best.keys.sort_unstable();
+            out.extend(best.keys.iter().map(|&key| neighbour(key)));
+        }
+    }
+
+    /// The nearest point, ties by index; `None` for an empty tree.
+    #[must_use]
+    pub fn nearest_one(&self, query: Point) -> Option<Neighbour> {
+        let mut best = Sorted { keys: [u64::MAX; 1], k: 1 };
+        if self.is_empty() {
+            return None;
+        }
+        self.search(query, &mut best);
+        Some(neighbour(best.keys[0]))
+    }
+
+    fn search(&self, query: Point, best: &mut impl Best) {
+        let offset = std::array::from_fn(|a| (self.lo[a] - query[a]).max(query[a] - self.hi[a]).max(0.0));
+        self.descend(query, Place { first: 0, start: 0, end: self.len(), height: self.depth }, offset, best);
+    }
+
+    /// `offset` is how far the node's cell is from the query on each axis. Its squared length is
+    /// computed with the expression of the distances; rounding is monotone, so it never exceeds
+    /// the computed distance of a point inside, and nothing is lost by comparing the two.
+    fn descend(&self, query: Point, place: Place, offset: Point, best: &mut impl Best) {
+        let Place { first, start, end, height } = place;
+        if height == 0 {
+            return self.scan(query, start, end, best);
+        }
+        let middle = start.midpoint(end);
+        let node = first + (1 << (height - 1)) - 1;
+        let left = Place { first, start, end: middle, height: height - 1 };
+        let right = Place { first: node + 1, start: middle, end, height: height - 1 };
+        let Split { axis, value } = self.splits[node];
+        let beyond = query[axis as usize] - value;
+        let (near, far) = if beyond <= 0.0 { (left, right) } else { (right, left) };
+        self.descend(query, near, offset, best);
+        let mut offset = offset;
+        offset[axis as usize] = offset[axis as usize].max(beyond.abs());
+        if squared(offset) <= best.worst() {
+            self.descend(query, far, offset, best);
+        }
+    }
+
+    fn scan(&self, query: Point, start: usize, end: usize, best: &mut impl Best) {
+        let [xs, ys, zs] = self.axes.each_ref().map(|axis| &axis[start..end]);
+        let mut distances = [0.0_f32; LEAF];
+        // All distances first: this loop vectorises, the next ones cannot.
+        for (((d, x), y), z) in distances.iter_mut().zip(xs).zip(ys).zip(zs) {
+            *d = squared([x - query[0], y - query[1], z - query[2]]);
+        }
+        // Most points are too far, which no branch predictor can foresee: pick the others without
+        // a branch.
+        let worst = best.worst();
+        let mut near = [0_usize; LEAF];
+        let mut count = 0;
+        for (place, &d) in distances[..end - start].iter().enumerate() {
+            near[count % LEAF] = place;
+            count += usize::from(d <= worst);
+        }
+        for &place in &near[..count] {
+            let index = self.order[start + place];
+            best.offer(u64::from(distances[place].to_bits()) << 32 | u64::from(index));
+        }
+    }
+}
+
+/// A subtree: its first inner node, its points, and its levels of inner nodes.
+#[derive(Clone, Copy)]
+struct Place {
+    first: usize,
+    start: usize,
+    end: usize,
+    height: u32,
+}
+
+/// The best candidates so far. A key is the bits of the squared distance above the index: for
+/// numbers that are not negative the order of bits is the order of values, so one comparison of
+/// integers orders by distance and then by index.
+trait Best {
+    fn offer(&mut self, key: u64);
+    /// The squared distance above which nothing is of use.
+    fn worst(&self) -> f32;
+}
+
+/// Keeps `k <= M` keys sorted.
+struct Sorted<const M: usize> {
+    keys: [u64; M],
+    k: usize,
+}
+
+impl<const M: usize> Best for Sorted<M> {
+    fn offer(&mut self, key: u64) {
+        let keys = &mut self.keys[..self.k];
+        let mut at = keys.len() - 1;
+        if key >= keys[at] {
+            return;
+        }
+        while at > 0 && keys[at - 1] > key {
+            keys[at] = keys[at - 1];
+            at -= 1;
+        }
+        keys[at] = key;
+    }
+
+    fn worst(&self) -> f32 {
+        distance(self.keys[self.k - 1])
+    }
+}
+
+/// Keeps up to `2 k` keys unsorted and throws away the worse half when full: constant time a key,
+/// for a bound that is a little late.
+struct Pool {
+    keys: Vec<u64>,
+    k: usize,
+    worst: u64,
+}
+
+impl Pool {
+    fn shrink(&mut self) {
+        if self.keys.len() > self.k {
+            let (_, &mut worst, _) = self.keys.select_nth_unstable(self.k - 1);
+            self.worst = worst;
+            self.keys.truncate(self.k);
+        }
+    }
+}
+
+impl Best for Pool {
+    fn offer(&mut self, key: u64) {
+        if key < self.worst {
+            self.keys.push(key);
+            if self.keys.len() == 2 * self.k {
+                self.shrink();
+            }
+        }
+    }
+
+    fn worst(&self) -> f32 {
+        distance(self.worst)
+    }
+}
+
+fn neighbour(key: u64) -> Neighbour {
+    Neighbour { index: key as u32, distance_squared: f32::from_bits((key >> 32) as u32) }
+}
+
+fn distance(key: u64) -> f32 {
+    // No key yet: everything is welcome.
+    if key == NOTHING { f32::INFINITY } else { f32::from_bits((key >> 32) as u32) }
+}
+
+/// The one expression for squared lengths in this module: results must agree to the last bit.
+pub(super) fn squared([x, y, z]: Point) -> f32 {
+    x * x + y * y + z * z
+}
+
+fn build(items: &mut [(Point, u32)], levels: u32, splits: &mut [Split]) {
+    if levels == 0 {
+        // The order inside a leaf must not depend on how the selection below is implemented.
+        items.sort_unstable_by_key(|&(_, i)| i);
+        return;
+    }
+    let (lo, hi) = bounds(items);
+    let side = |a: usize| hi[a] - lo[a];
+    let axis = (1..3).fold(0, |best, a| if side(a) > side(best) { a } else { best });
+    let middle = items.len() / 2;
+    // Ties by index make the two halves unique.
+    let (_, &mut (pivot, _), _) =
+        items.select_nth_unstable_by(middle, |(p, i), (q, j)| p[axis].total_cmp(&q[axis]).then(i.cmp(j)));
+    let parallel = items.len() > PARALLEL;
+    let (left, right) = items.split_at_mut(middle);
+    let (left_splits, rest) = splits.split_at_mut((1 << (levels - 1)) - 1);
+    rest[0] = Split { axis: axis as u32, value: pivot[axis] };
+    let right_splits = &mut rest[1..];
+    if parallel {
+        rayon::join(|| build(left, levels - 1, left_splits), || build(right, levels - 1, right_splits));
+    } else {
+        build(left, levels - 1, left_splits);
+        build(right, levels - 1, right_splits);
+    }
+}
+
+pub(super) fn bounds(items: &[(Point, u32)]) -> (Point, Point) {
+    let mut lo = [f32::INFINITY; 3];
+    let mut hi = [f32::NEG_INFINITY; 3];
+    for (p, _) in items {
+        for a in 0..3 {
+            lo[a] = lo[a].min(p[a]);
+            hi[a] = hi[a].max(p[a]);
+        }
+    }
+    (lo, hi)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::Rng;
+    use super::*;
+    use proptest::prelude::*;
+
+    fn brute(points: &[Point], q: Point, k: usize) -> Vec<Neighbour> {
+        let mut all: Vec<Neighbour> = points
+            .iter()
+            .zip(0..)
+            .map(|(p, index)| Neighbour {
+                index,
+                distance_squared: squared([p[0] - q[0], p[1] - q[1], p[2] - q[2]]),
+            })
+            .collect();
+        all.sort_by(|a, b| a.distance_squared.total_cmp(&b.distance_squared).then(a.index.cmp(&b.index)));
+        all.truncate(k);
+        all
+    }
+
+    /// Random points; a coarse grid makes ties and duplicates, a flat one zero extents.
+    fn cloud(seed: u64, n: usize, kind: u8) -> Vec<Point> {
+        let mut rng = Rng::new(seed);
+        (0..n)
+            .map(|_| {
+                let p: Point = std::array::from_fn(|_| (2.0 * rng.f64() - 1.0) as f32);
+                match kind {
+                    0 => p,
+                    1 => p.map(|c| (c * 3.0).round()),
+                    2 => [p[0], 0.0, 0.0],
+                    _ => [0.25; 3],
+                }
+            })
+            .collect()
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(64))]
+        #[test]
+        fn finds_what_brute_force_finds(
+            seed in any::<u64>(), n in 0usize..700, k in prop::sample::select(vec![0usize, 1, 2, 5, 32, 64, 65, 312]), kind in 0u8..4,
+        ) {
+            let points = cloud(seed, n, kind);
+            let tree = KdTree::new(&points);
+            let mut out = vec![Neighbour { index: 9, distance_squared: 9.0 }];
+            let mut walk = Walk::default();
+            for q in cloud(seed ^ 1, 4, 0).into_iter().chain(points.iter().copied().take(4)).chain([[7.0, -3.0, 0.1]]) {
+                tree.nearest(q, k, &mut out);
+                prop_assert_eq!(&out, &brute(&points, q, k));
+                tree.nearest_next(q, k, &mut walk);
+                prop_assert_eq!(&walk.found, &out);
+                prop_assert_eq!(tree.nearest_one(q), brute(&points, q, 1).first().copied());
+            }
+        }
+    }
+
+    #[test]
+    fn in_order_indices_name_the_points_that_come_back() {
+        let points = cloud(6, 40_000, 0);
+        let (tree, sorted) = KdTree::in_order(&points);
+        let plain = KdTree::new(&points);
+        let (mut found, mut wanted) = (Vec::new(), Vec::new());
+        for q in cloud(7, 50, 0) {
+            tree.nearest(q, 9, &mut found);
+            plain.nearest(q, 9, &mut wanted);
+            let at = |points: &[Point], found: &[Neighbour]| -> Vec<Point> {
+                found.iter().map(|n| points[n.index as usize]).collect()
+            };
+            assert_eq!(at(&sorted, &found), at(&points, &wanted));
+        }
+    }
+
+    #[test]
+    fn agrees_with_kiddo_on_distances() {
+        let points = cloud(3, 5000, 0);
+        let tree = KdTree::new(&points);
+        let reference = kiddo::ImmutableKdTree::<f32, 3>::new_from_slice(&points).expect("a tree");
+        let mut out = Vec::new();
+        for q in cloud(4, 50, 0) {
+            tree.nearest(q, 10, &mut out);
+            let theirs = reference
+                .query(&q)
+                .nearest_n::<kiddo::SquaredEuclidean<f32>>(std::num::NonZero::new(10).expect("ten"))
+                .execute();
+            for (ours, theirs) in out.iter().zip(theirs) {
+                assert!((ours.distance_squared - theirs.distance).abs() < 1e-6);
+            }
+        }
+    }
+
+    #[test]
+    fn order_is_a_permutation() {
+        let tree = KdTree::new(&cloud(5, 1000, 1));
+        let mut order = tree.order().to_vec();
+        order.sort_unstable();
+        assert!(order.iter().copied().eq(0..1000));
+        assert_eq!((tree.len(), tree.is_empty()), (1000, false));
+        assert!(KdTree::new(&[]).is_empty());
+    }
+}

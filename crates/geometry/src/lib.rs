@@ -1,0 +1,42 @@
+//! Geometry on local points: neighbours, sampling, normals, distances. No IO, no network.
+//!
+//! | item | what | cost |
+//! |---|---|---|
+//! | [`KdTree`] | exact k nearest neighbours | build O(n log n), query about O(k + log n) |
+//! | [`farthest_point_sampling`] | a spread-out subset | about O(n log n) |
+//! | [`estimate_normals`] | normals by PCA | O(n (k + log n)) |
+//! | [`SurfaceDistance`] | distance to a mesh | build O(t log t), query about O(log t) |
+//! | [`poisson_disk`], [`uniform`] | points on a triangle mesh | O(n log n), O(n log t) |
+//! | [`Mesh`], [`shape`] | triangle meshes, and some built in | |
+//! | [`Rng`] | the random numbers of all of this, fixed for good | |
+//!
+//! Everything is deterministic: the same values in give the same values out, whatever the number
+//! of threads; ties are broken by the lowest index. Coordinates must be finite: who reads them
+//! from outside drops or refuses the others first.
+
+mod cells;
+mod farthest;
+mod kdtree;
+mod mesh;
+mod mls;
+mod normals;
+mod plane;
+mod poisson_disk;
+mod random;
+mod shapes;
+mod surface_distance;
+mod uniform;
+
+pub use cells::{Reach, cell_area, one_sided};
+pub use farthest::farthest_point_sampling;
+pub use kdtree::{KdTree, Neighbour, Walk};
+pub use mesh::{Mesh, MeshError};
+pub use mls::project_to_surface;
+pub use normals::estimate_normals;
+pub use normals::normal;
+pub use plane::{Plane, quadratic_residual};
+pub use poisson_disk::poisson_disk;
+pub use random::Rng;
+pub use shapes::{SHAPES, shape};
+pub use surface_distance::SurfaceDistance;
+pub use uniform::{SampleError, uniform};

@@ -1,0 +1,183 @@
+//! What is known of one job.
+
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+
+use super::database::ROW;
+use densecloud::provenance::hexadecimal;
+
+/// Milliseconds since 1970.
+pub type Time = i64;
+
+/// Where a job is on its way.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum State {
+    /// Waits for its turn.
+    Queued,
+    /// Is being worked on.
+    Running,
+    /// Its result is there.
+    Done,
+    /// Has no result and never will.
+    Failed,
+    /// Somebody wanted no result.
+    Cancelled,
+}
+
+impl State {
+    /// All, in the order of a job's life.
+    pub const ALL: [Self; 5] = [Self::Queued, Self::Running, Self::Done, Self::Failed, Self::Cancelled];
+
+    /// Its name in the database, in answers and in metrics.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Queued => "queued",
+            Self::Running => "running",
+            Self::Done => "done",
+            Self::Failed => "failed",
+            Self::Cancelled => "cancelled",
+        }
+    }
+
+    /// Whether it stays so.
+    #[must_use]
+    pub fn is_final(self) -> bool {
+        matches!(self, Self::Done | Self::Failed | Self::Cancelled)
+    }
+
+    pub(super) fn of_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|state| state.name() == name)
+    }
+}
+
+/// What somebody wants done.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct NewJob {
+    /// All of it but the cloud, as its sender will understand it when the job runs.
+    pub request: String,
+    /// A name for the request by its sender: a second one of that name is the same job.
+    /// Another owner's is another job.
+    pub key: Option<String>,
+    /// Who alone may see it, and whose names of requests count; empty where everybody may.
+    pub owner: String,
+    /// Who sends it, for shares and turns.
+    pub client: String,
+    /// The name of the request that brought it, for the log.
+    pub request_id: String,
+    /// Points in the cloud.
+    pub points_in: u64,
+    /// Points in the result.
+    pub points_out: u64,
+    /// Bytes that the result will take on the disk, about.
+    pub result_bytes: u64,
+    /// The cloud's file.
+    pub input: Vec<u8>,
+}
+
+/// A new job with all that the store has to work out of it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Draft {
+    pub(super) job: NewJob,
+    /// The same for the same request with the same cloud.
+    pub(super) fingerprint: String,
+    /// Bytes that its row takes, in whatever state.
+    pub(super) row_bytes: u64,
+}
+
+impl Draft {
+    /// O(bytes of the cloud).
+    #[must_use]
+    pub fn new(job: NewJob) -> Self {
+        let mut hash = Sha256::new();
+        hash.update((job.request.len() as u64).to_le_bytes());
+        hash.update(&job.request);
+        hash.update(&job.input);
+        let fingerprint = hexadecimal(&hash.finalize());
+        let NewJob { request, owner, client, request_id, .. } = &job;
+        let key = job.key.as_ref().map_or(0, String::len);
+        let texts = request.len() + owner.len() + client.len() + request_id.len() + key;
+        Self { fingerprint, row_bytes: ROW + texts as u64, job }
+    }
+
+    /// Its cloud's file.
+    #[must_use]
+    pub fn input(&self) -> &[u8] {
+        &self.job.input
+    }
+
+    /// Bytes that it takes until it is over.
+    pub(super) fn bytes(&self) -> u64 {
+        let files = (self.job.input.len() as u64).saturating_add(self.job.result_bytes);
+        files.saturating_add(self.row_bytes)
+    }
+}
+
+/// One row of the database.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Record {
+    /// Jobs of one client are run in this order.
+    pub number: i64,
+    /// Its name: 32 hexadecimal digits, not to be guessed.
+    pub id: String,
+    /// Where it is.
+    pub state: State,
+    /// See [`NewJob::request`].
+    pub request: String,
+    /// See [`NewJob::owner`].
+    pub owner: String,
+    /// See [`NewJob::client`].
+    pub client: String,
+    /// See [`NewJob::request_id`].
+    pub request_id: String,
+    /// Points in the cloud.
+    pub points_in: u64,
+    /// Points in the result.
+    pub points_out: u64,
+    /// Its place on the clock by which clients take turns; of equal ones the lower number is first.
+    pub turn: i64,
+    /// How often it was started; a stop of the server in good order does not count.
+    pub attempts: u32,
+    /// When it came.
+    pub created: Time,
+    /// When it was last started; none where it has been put back since.
+    pub started: Option<Time>,
+    /// When it came to its final state.
+    pub finished: Option<Time>,
+    /// Of a job that is done.
+    pub result: Option<ResultFile>,
+    /// Of a job that has failed.
+    pub failure: Option<Failure>,
+}
+
+/// The result of a job, as a file.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ResultFile {
+    /// Its length.
+    pub bytes: u64,
+    /// Its SHA-256 in hexadecimal digits.
+    pub sha256: String,
+    /// What else is to be told of it, as whoever made it understands it.
+    pub about: String,
+}
+
+/// Why a job has no result.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Failure {
+    /// Its cloud cannot be upsampled, as whoever tried it says.
+    Refused(String),
+    /// Its files could not be read or written.
+    Storage {
+        /// What the system says.
+        why: String,
+        /// There was no room.
+        full: bool,
+    },
+    /// The program ended under it too often.
+    GaveUp {
+        /// How often it was started.
+        attempts: u32,
+    },
+    /// A bug; other jobs are not affected.
+    Crashed,
+}

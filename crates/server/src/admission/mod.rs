@@ -1,0 +1,16 @@
+//! Who asks, and what a request has been promised: points, memory, a turn, and until when.
+//!
+//! | file | holds |
+//! |---|---|
+//! | `client`, `keys` | who asks |
+//! | `ticket` | the points that a request has reserved |
+//! | `deadline` | until when its answer is of use |
+//! | `budget` | memory for bodies and results |
+//! | `parsing` | turns at parsing, fair among clients |
+
+pub(crate) mod budget;
+pub(crate) mod client;
+pub(crate) mod deadline;
+pub(crate) mod keys;
+pub(crate) mod parsing;
+pub(crate) mod ticket;

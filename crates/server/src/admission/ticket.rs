@@ -1,0 +1,88 @@
+//! A request on its way to the engine: whose it is, until when, and what is reserved for it.
+
+use std::sync::Arc;
+
+use axum::http::HeaderMap;
+
+use crate::admission::deadline::Deadline;
+use crate::app::App;
+use crate::problem::Problem;
+use densecloud::Request;
+use densecloud_engine::{Caller, Client, Cost, EngineError, Job, Permit};
+
+/// What every request for work carries, whichever interface it came by: make one when its head is there, tell
+/// it the size as soon as that is known, and give it to [`crate::http::upsample::run`].
+pub(crate) struct Ticket {
+    app: Arc<App>,
+    caller: Caller,
+    pub(crate) deadline: Deadline,
+    reserved: Option<Permit>,
+}
+
+impl Ticket {
+    /// For a request of this client.
+    ///
+    /// # Errors
+    /// What [`Deadline::of`] gives.
+    pub(crate) fn new(app: &Arc<App>, client: Client, headers: &HeaderMap) -> Result<Self, Problem> {
+        let deadline = Deadline::of(headers, app.config.timeouts.request)?;
+        Ok(Self::until(app, client, deadline))
+    }
+
+    /// As [`Ticket::new`], with a deadline that came in another way.
+    pub(crate) fn until(app: &Arc<App>, client: Client, deadline: Deadline) -> Self {
+        let caller = Caller { client, deadline: deadline.at() };
+        Self { app: Arc::clone(app), caller, deadline, reserved: None }
+    }
+
+    /// Whose it is.
+    pub(crate) fn client(&self) -> &Client {
+        &self.caller.client
+    }
+
+    /// Refuses at once where not even one point could be taken: before anything of the body is read.
+    ///
+    /// # Errors
+    /// Not ready, or the engine's.
+    pub(crate) fn check(&self) -> Result<(), Problem> {
+        self.app.readiness.check()?;
+        let least = Cost { points_in: 1, points_out: 1 };
+        self.app.engine.would_admit(&self.caller, least).map_err(|error| self.refused(error))
+    }
+
+    /// Reserves the points of a request as soon as its size is known; again where more is known.
+    ///
+    /// # Errors
+    /// Above a limit, or the engine's.
+    pub(crate) fn reserve(&mut self, points_in: u64, points_out: u64) -> Result<(), Problem> {
+        self.app.check_points(points_in, points_out)?;
+        if self.reserved.is_none() {
+            let permit = self.app.engine.reserve(&self.caller, Cost { points_in, points_out });
+            self.reserved = Some(permit.map_err(|error| self.refused(error))?);
+            self.app.metrics.admitted();
+        }
+        Ok(())
+    }
+
+    /// Queues the work. Blocks for O(points in).
+    ///
+    /// # Errors
+    /// The engine's.
+    pub(crate) fn submit(mut self, request: Request) -> Result<Job, Problem> {
+        let reserved = self.reserved.take();
+        let known = reserved.is_some();
+        let job = self.app.engine.submit_for(&self.caller, request, reserved);
+        let job = job.map_err(|error| self.refused(error))?;
+        if !known {
+            self.app.metrics.admitted();
+        }
+        self.deadline.queued(job.progress_handle());
+        Ok(job)
+    }
+
+    fn refused(&self, error: impl Into<EngineError>) -> Problem {
+        let problem = Problem::from_engine(error.into());
+        self.app.metrics.refused(problem.outcome());
+        problem
+    }
+}

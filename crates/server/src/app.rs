@@ -1,0 +1,131 @@
+//! What the handlers share, and the table of paths.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use axum::Router;
+use axum::extract::State;
+use axum::http::header;
+use axum::middleware;
+use axum::response::IntoResponse;
+use axum::routing::{get, post};
+use metrics_exporter_prometheus::BuildError;
+use tokio::sync::{Semaphore, watch};
+use tokio::time::timeout;
+
+use crate::admission::budget::Budget;
+use crate::admission::client;
+use crate::admission::parsing::Parsing;
+use crate::config::Config;
+use crate::connection::{compress, cors, record};
+use crate::http::readiness::Readiness;
+use crate::http::{openapi, upsample};
+use crate::metrics::Metrics;
+use crate::problem::Problem;
+use crate::{grpc, inference, jobs};
+use densecloud_engine::Engine;
+use densecloud_jobs::Jobs;
+
+/// One server's state.
+pub(super) struct App {
+    pub(super) engine: Engine,
+    pub(super) config: Config,
+    pub(super) metrics: Metrics,
+    pub(super) readiness: Readiness,
+    pub(super) budget: Budget,
+    /// None where the server has no folder for them.
+    pub(super) jobs: Option<Arc<Jobs>>,
+    // A semaphore: a question that nobody waits for any more keeps its turn until it is answered.
+    pub(super) asking: Arc<Semaphore>,
+    pub(super) parsing: Arc<Parsing>,
+    /// For clouds of jobs that are written.
+    pub(super) writing: Arc<Semaphore>,
+    /// Requests whose response is not over, probes aside. A watch channel, so that a stopping server
+    /// can wait for none.
+    pub(super) in_flight: watch::Sender<usize>,
+}
+
+impl App {
+    pub(super) fn new(engine: Engine, config: Config, jobs: Option<Arc<Jobs>>) -> Result<Self, BuildError> {
+        Ok(Self {
+            jobs,
+            metrics: Metrics::new(&config.model)?,
+            readiness: Readiness::new(),
+            budget: Budget::new(config.limits.held_bytes),
+            asking: Arc::new(Semaphore::new(jobs::ASKING)),
+            parsing: Arc::new(Parsing::new()),
+            writing: Arc::new(Semaphore::new(jobs::WRITING)),
+            in_flight: watch::Sender::new(0),
+            engine,
+            config,
+        })
+    }
+
+    /// Checks points in, and the result's, against the limits.
+    ///
+    /// # Errors
+    /// [`Problem::TooManyPointsIn`] or [`Problem::TooManyPointsOut`].
+    pub(super) fn check_points(&self, points_in: u64, points_out: u64) -> Result<(), Problem> {
+        let limits = &self.config.limits;
+        if points_in > limits.points_in {
+            return Err(Problem::TooManyPointsIn { points: points_in, limit: limits.points_in });
+        }
+        if points_out > limits.points_out {
+            return Err(Problem::TooManyPointsOut { points: points_out, limit: limits.points_out });
+        }
+        Ok(())
+    }
+
+    pub(super) fn held_full(&self) -> Problem {
+        Problem::HeldFull { used: self.budget.used(), limit: self.config.limits.held_bytes }
+    }
+}
+
+/// All paths.
+pub(super) fn router(app: Arc<App>) -> Router {
+    let routes = Router::new()
+        .route("/upsample", post(upsample::upsample))
+        .route("/jobs", get(jobs::list).post(jobs::submit))
+        .route("/jobs/{id}", get(jobs::get).delete(jobs::delete))
+        .route("/jobs/{id}/result", get(jobs::result::result))
+        .route("/jobs/{id}/events", get(jobs::events::events))
+        .route("/healthz", get(healthz))
+        .route("/readyz", get(readyz))
+        .route("/metrics", get(metrics))
+        .route("/openapi.json", get(openapi::openapi))
+        .route("/docs", get(openapi::docs))
+        .merge(inference::routes())
+        .merge(grpc::routes(&app))
+        .fallback(|| async { Problem::NotFound })
+        .method_not_allowed_fallback(|| async { Problem::MethodNotAllowed })
+        .layer(middleware::from_fn_with_state(Arc::clone(&app), client::identify))
+        .layer(middleware::from_fn_with_state(Arc::clone(&app), compress::compress))
+        .layer(middleware::from_fn_with_state(Arc::clone(&app), cors::keep_out));
+    let routes = match cors::layer(&app.config.cors) {
+        Some(cors) => routes.layer(cors),
+        None => routes,
+    };
+    routes.layer(middleware::from_fn_with_state(Arc::clone(&app), record::record)).with_state(app)
+}
+
+/// How long `/metrics` waits for the jobs' figures.
+const COUNTS: Duration = Duration::from_secs(1);
+
+/// Alive, whatever it is doing.
+async fn healthz() -> &'static str {
+    "ok\n"
+}
+
+/// Whether to send requests here.
+async fn readyz(State(app): State<Arc<App>>) -> Result<&'static str, Problem> {
+    app.readiness.probe().map(|()| "ready\n")
+}
+
+async fn metrics(State(app): State<Arc<App>>) -> impl IntoResponse {
+    // Figures that cannot be had, or not soon, are last time's; the log will be full of the reason.
+    if let Ok(Ok(counts)) = timeout(COUNTS, jobs::ask(&app, |jobs| Ok(jobs.store().counts()?))).await {
+        app.metrics.jobs(&counts);
+    }
+    let page = app.metrics.render(&app.engine, app.budget.used());
+    ([(header::CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")], page)
+}

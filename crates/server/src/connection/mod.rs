@@ -1,0 +1,17 @@
+//! What stands around every request: the connection it comes on, its name, log and encodings.
+//!
+//! | file | holds |
+//! |---|---|
+//! | `accept` | the loop that accepts connections, and each connection's life |
+//! | `activity` | when a connection, or an answer on one, counts as dead |
+//! | `record`, `request_id` | around each request: id, log, metrics |
+//! | `decode`, `compress` | encodings of bodies, in and out |
+//! | `cors` | pages from other sites |
+
+pub(crate) mod accept;
+pub(crate) mod activity;
+pub(crate) mod compress;
+pub(crate) mod cors;
+pub(crate) mod decode;
+pub(crate) mod record;
+pub(crate) mod request_id;

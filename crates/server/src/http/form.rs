@@ -1,0 +1,167 @@
+//! A form (`multipart/form-data`) in place of a body and a query: its file is the cloud, its other fields are
+//! the parameters, in any order.
+
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use axum::http::{HeaderMap, Uri, header};
+use futures::stream;
+use multer::{Field, Multipart};
+
+use crate::app::App;
+use crate::connection::decode::Coding;
+use crate::http::query::{self, Parameters};
+use crate::http::upload::{Arrival, HeaderCheck, Received, Upload};
+use crate::problem::Problem;
+
+/// What a request asks for and the cloud that it brought, however it brought them.
+pub(crate) struct Asking {
+    pub(crate) parameters: Parameters,
+    /// The parameters as a query.
+    pub(crate) query: String,
+    pub(crate) received: Received,
+}
+
+/// The field that holds the cloud, where a form has no file.
+const CLOUD: &str = "cloud";
+/// Bytes that a form may have beside its file's: names, values, boundaries. The parser keeps the head of a part
+/// until it is complete.
+const BESIDE: u64 = 1 << 20;
+
+impl Asking {
+    /// Receives a request: a query and a cloud, or a form. `known` hears the points in and out as soon as the cloud's header
+    /// tells them, where it does; of a form whose parameters are yet to come, the fewest that may come out.
+    ///
+    /// # Errors
+    /// See [`Upload::receive`] and [`Parameters::from_pairs`]; and [`Problem::MalformedRequest`] for what is no form.
+    pub(crate) async fn receive(
+        upload: &mut Upload,
+        uri: &Uri,
+        headers: &HeaderMap,
+        app: &App,
+        mut known: impl FnMut(u64, u64) -> Result<(), Problem>,
+    ) -> Result<Self, Problem> {
+        if let Some(kind) = form(headers) {
+            return Self::receive_form(upload, uri, headers, &kind, app, known).await;
+        }
+        let parameters = Parameters::parse(uri)?;
+        let known = |points| known(points, parameters.points_out(points));
+        let received = upload.receive(headers, app, known).await?;
+        Ok(Self { parameters, query: uri.query().unwrap_or_default().to_owned(), received })
+    }
+
+    async fn receive_form(
+        upload: &mut Upload,
+        uri: &Uri,
+        headers: &HeaderMap,
+        kind: &str,
+        app: &App,
+        mut known: impl FnMut(u64, u64) -> Result<(), Problem>,
+    ) -> Result<Self, Problem> {
+        let boundary = multer::parse_boundary(kind).map_err(malformed)?;
+        if Coding::of(headers)? != Coding::Identity {
+            let why = "a form is not compressed as a whole; compress its file, and give that part a Content-Encoding";
+            return Err(Problem::MalformedRequest(why.into()));
+        }
+        upload.check_length(app.config.limits.body_bytes.saturating_add(BESIDE), app)?;
+        let mut pairs = query::pairs(uri)?;
+        // Arrived, less what of it was the file's.
+        let beside = AtomicU64::new(0);
+        let stall = app.config.timeouts.stall;
+        let pieces = stream::try_unfold(upload, |upload| async {
+            // The parser takes all that is ready before it looks at any of it; so that this is never more than a
+            // piece, another is not ready at once.
+            tokio::task::yield_now().await;
+            let Some(piece) = upload.next(stall).await? else { return Ok(None) };
+            let length = piece.len() as u64;
+            if beside.fetch_add(length, Ordering::Relaxed).saturating_sub(length) > BESIDE {
+                let why = format!("the form has more than {BESIDE} bytes beside its file");
+                return Err(Problem::MalformedRequest(why));
+            }
+            Ok(Some((piece, upload)))
+        });
+        let mut form = Multipart::new(pieces, boundary);
+        let mut received = None;
+        while let Some(field) = form.next_field().await.map_err(malformed)? {
+            let name = field.name().unwrap_or_default().to_owned();
+            if name == CLOUD || field.file_name().is_some() {
+                if received.is_some() {
+                    return Err(Problem::parameter(&name, "a second file; a form has one cloud".into()));
+                }
+                received = Some(receive_file(field, &pairs, &beside, app, &mut known).await?);
+            } else {
+                let value = field.text().await.map_err(malformed)?;
+                add(&mut pairs, name, value)?;
+            }
+        }
+        let received = received.ok_or_else(|| {
+            Problem::parameter(
+                CLOUD,
+                "missing; the form needs a file, such as curl's -F cloud=@scan.ply".into(),
+            )
+        })?;
+        let query = form_urlencoded::Serializer::new(String::new()).extend_pairs(&pairs).finish();
+        Ok(Self { parameters: Parameters::from_pairs(&pairs)?, query, received })
+    }
+}
+
+/// The content type, where it is a form's.
+fn form(headers: &HeaderMap) -> Option<String> {
+    let kind = headers.get(header::CONTENT_TYPE)?.to_str().ok()?;
+    let essence = kind.split(';').next().unwrap_or_default().trim();
+    essence.eq_ignore_ascii_case("multipart/form-data").then(|| kind.to_owned())
+}
+
+/// Adds a field, judged at once, since the file may be long in coming. Browsers send the fields that were left
+/// empty too: they say nothing.
+fn add(pairs: &mut Vec<(String, String)>, name: String, value: String) -> Result<(), Problem> {
+    if pairs.iter().any(|(earlier, _)| *earlier == name) {
+        return Err(Problem::parameter(&name, "given twice".into()));
+    }
+    let empty = value.is_empty();
+    let pair = (name, value);
+    // A goal that is right, for those that name none.
+    let mut alone = vec![("ratio".to_owned(), "1".to_owned())];
+    if query::GOALS.contains(&pair.0.as_str()) {
+        alone.clear();
+    }
+    if !empty || !query::NAMES.contains(&pair.0.as_str()) {
+        alone.push(pair);
+        Parameters::from_pairs(&alone)?;
+        pairs.extend(alone.pop());
+    }
+    Ok(())
+}
+
+async fn receive_file(
+    mut field: Field<'_>,
+    pairs: &[(String, String)],
+    beside: &AtomicU64,
+    app: &App,
+    mut known: impl FnMut(u64, u64) -> Result<(), Problem>,
+) -> Result<Received, Problem> {
+    // Parameters that follow the file are judged when they come.
+    let parameters = Parameters::from_pairs(pairs).ok();
+    let mut check = HeaderCheck::new(app, |points| {
+        known(points, parameters.as_ref().map_or(points, |parameters| parameters.points_out(points)))
+    });
+    let mut arrival = Arrival::begin(Coding::of(field.headers())?, app)?;
+    while let Some(piece) = field.chunk().await.map_err(malformed)? {
+        beside.fetch_sub(piece.len() as u64, Ordering::Relaxed);
+        arrival = arrival.add(piece, |bytes, new| check.judge(bytes, new)).await?;
+    }
+    arrival.finish()
+}
+
+/// A problem of ours comes back from the parser in an error of its own.
+fn malformed(error: multer::Error) -> Problem {
+    match error {
+        multer::Error::StreamReadFailed(error) => match error.downcast::<Problem>() {
+            Ok(problem) => *problem,
+            Err(error) => Problem::Interrupted(error.to_string()),
+        },
+        multer::Error::IncompleteFieldData { .. }
+        | multer::Error::IncompleteHeaders
+        | multer::Error::IncompleteStream => Problem::Interrupted(format!("the form: {error}")),
+        error => Problem::MalformedRequest(format!("the form: {error}")),
+    }
+}

@@ -1,0 +1,306 @@
+//! Receiving a request's body: into memory, under limits, refused as soon as its header is there.
+
+use std::time::{Duration, Instant};
+
+use axum::body::{Body, Bytes, HttpBody};
+use axum::http::{HeaderMap, header};
+use http_body_util::BodyExt;
+use tokio::time::timeout;
+
+use crate::admission::budget::Held;
+use crate::app::App;
+use crate::connection::decode::{Coding, Decoder, Refusal};
+use crate::problem::Problem;
+use densecloud_cloud::Cloud;
+use densecloud_formats::{CloudReader, Format, FormatError, Limits};
+
+/// A body that arrives, or is given up politely.
+pub(crate) struct Upload {
+    body: Body,
+    /// Nothing has been read yet, and the client waits for a `100 Continue` before it sends.
+    waits: bool,
+}
+
+/// A body that has arrived.
+#[derive(Debug)]
+pub(crate) struct Received {
+    bytes: Vec<u8>,
+    // Given back with the bytes, wherever these are dropped.
+    _held: Held,
+    /// How long it took to arrive.
+    pub(crate) took: Duration,
+}
+
+/// How long, and how much of, a refused body is read and thrown away, so that the client finds the
+/// answer before the connection closes under it.
+const LINGER: Duration = Duration::from_secs(10);
+const LINGER_BYTES: usize = 512 << 20;
+
+/// Bytes after which text tells its format.
+const SNIFF: usize = 4096;
+
+impl Upload {
+    pub(crate) fn new(headers: &HeaderMap, body: Body) -> Self {
+        Self { body, waits: headers.contains_key(header::EXPECT) }
+    }
+
+    /// Reads the body to its end. Memory grows with what arrives, not with what is claimed. `known` hears
+    /// the points in as soon as the file's header tells them, where it does.
+    ///
+    /// # Errors
+    /// The body is compressed in an unknown way, too large, stalls or breaks off; its header claims too much; `known`
+    /// refuses; or its beginning is in no known format. All but the end of the body
+    /// are noticed while it arrives.
+    pub(crate) async fn receive(
+        &mut self,
+        headers: &HeaderMap,
+        app: &App,
+        known: impl FnMut(u64) -> Result<(), Problem>,
+    ) -> Result<Received, Problem> {
+        let mut check = HeaderCheck::new(app, known);
+        let judge = |bytes: &[u8], new| check.judge(bytes, new);
+        self.receive_judged(headers, app, judge).await
+    }
+
+    /// As [`Upload::receive`], for what is not a file: after each piece, `judge` is shown all that has
+    /// arrived, and how much of it is new.
+    pub(crate) async fn receive_judged(
+        &mut self,
+        headers: &HeaderMap,
+        app: &App,
+        mut judge: impl FnMut(&[u8], usize) -> Result<(), Problem>,
+    ) -> Result<Received, Problem> {
+        let coding = Coding::of(headers)?;
+        self.check_length(app.config.limits.body_bytes, app)?;
+        let mut arrival = Arrival::begin(coding, app)?;
+        while let Some(chunk) = self.next(app.config.timeouts.stall).await? {
+            arrival = arrival.add(chunk, &mut judge).await?;
+        }
+        arrival.finish()
+    }
+
+    /// Refuses a body that is known to be longer than `most`: from Content-Length, or from HTTP/2's END_STREAM.
+    pub(crate) fn check_length(&self, most: u64, app: &App) -> Result<(), Problem> {
+        if self.body.size_hint().lower() > most {
+            return Err(Problem::BodyTooLarge { limit: app.config.limits.body_bytes });
+        }
+        Ok(())
+    }
+
+    /// Bytes in the whole body, where that is known beforehand.
+    pub(crate) fn length(&self, headers: &HeaderMap) -> Option<u64> {
+        let plain = !headers.contains_key(header::CONTENT_ENCODING);
+        self.body.size_hint().exact().filter(|_| plain)
+    }
+
+    /// Throws away what still arrives, in the background, for a moment.
+    ///
+    /// Closing a connection while the client sends makes its system discard our answer (the reset
+    /// overtakes it), so the reason for the refusal would often be lost.
+    pub(crate) fn give_up(self) {
+        if self.waits || self.body.is_end_stream() {
+            return;
+        }
+        let mut body = self.body;
+        tokio::spawn(timeout(LINGER, async move {
+            let mut left = LINGER_BYTES;
+            while let Some(Ok(frame)) = body.frame().await {
+                left = left.saturating_sub(frame.data_ref().map_or(0, Bytes::len));
+                if left == 0 {
+                    break;
+                }
+            }
+        }));
+    }
+
+    /// The next piece, or nothing at the end.
+    pub(crate) async fn next(&mut self, stall: Duration) -> Result<Option<Bytes>, Problem> {
+        loop {
+            self.waits = false;
+            match timeout(stall, self.body.frame()).await {
+                Err(_) => return Err(Problem::UploadStalled { limit: stall }),
+                Ok(None) => return Ok(None),
+                // What is sent in messages, and not as one file, may be wrong in itself.
+                Ok(Some(Err(error))) => return Err(broken(error)),
+                // Trailers are no part of a cloud.
+                Ok(Some(Ok(frame))) => {
+                    if let Ok(data) = frame.into_data() {
+                        return Ok(Some(data));
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Why a body broke. What is a problem of ours comes in a wrapping or two.
+fn broken(error: axum::Error) -> Problem {
+    let mut error = error.into_inner();
+    loop {
+        error = match error.downcast::<axum::Error>() {
+            Ok(wrapped) => wrapped.into_inner(),
+            Err(error) => {
+                return match error.downcast::<Problem>() {
+                    Ok(problem) => *problem,
+                    Err(error) => Problem::Interrupted(error.to_string()),
+                };
+            }
+        };
+    }
+}
+
+/// A cloud so far.
+pub(crate) struct Arrival<'a> {
+    app: &'a App,
+    decoder: Decoder,
+    /// Bytes as they came.
+    sent: u64,
+    start: Instant,
+}
+
+impl<'a> Arrival<'a> {
+    /// Of a cloud that is compressed like this.
+    pub(crate) fn begin(coding: Coding, app: &'a App) -> Result<Self, Problem> {
+        let held = app.budget.hold(0).ok_or_else(|| app.held_full())?;
+        let decoder = Decoder::new(coding, held, app.config.limits.body_bytes);
+        let decoder = decoder.map_err(|refusal| refused(app, refusal))?;
+        Ok(Self { app, decoder, sent: 0, start: Instant::now() })
+    }
+
+    /// Takes a piece, and shows `judge` all that has arrived, and how much of it is new.
+    pub(crate) async fn add(
+        self,
+        piece: Bytes,
+        mut judge: impl FnMut(&[u8], usize) -> Result<(), Problem>,
+    ) -> Result<Self, Problem> {
+        let Self { app, decoder, mut sent, start } = self;
+        // Compressed, endlessly much may stand for nothing.
+        sent += piece.len() as u64;
+        if sent > app.config.limits.body_bytes {
+            return Err(refused(app, Refusal::TooLarge));
+        }
+        let before = decoder.bytes().len();
+        let decoder = decoder.add(piece).await.map_err(|refusal| refused(app, refusal))?;
+        judge(decoder.bytes(), decoder.bytes().len() - before)?;
+        Ok(Self { app, decoder, sent, start })
+    }
+
+    pub(crate) fn finish(self) -> Result<Received, Problem> {
+        let (bytes, held) = self.decoder.finish().map_err(|refusal| refused(self.app, refusal))?;
+        Ok(Received { bytes, _held: held, took: self.start.elapsed() })
+    }
+}
+
+fn refused(app: &App, refusal: Refusal) -> Problem {
+    match refusal {
+        Refusal::TooLarge => Problem::BodyTooLarge { limit: app.config.limits.body_bytes },
+        Refusal::NoRoom => app.held_full(),
+        Refusal::Broken(why) => Problem::Interrupted(why),
+    }
+}
+
+impl Received {
+    pub(crate) fn bytes(&self) -> &[u8] {
+        &self.bytes
+    }
+
+    /// A body that arrived earlier.
+    pub(crate) fn kept(bytes: Vec<u8>, held: Held) -> Self {
+        Self { bytes, _held: held, took: Duration::ZERO }
+    }
+
+    /// The body as it arrived, and its share of the memory.
+    pub(crate) fn into_parts(self) -> (Vec<u8>, Held) {
+        (self.bytes, self._held)
+    }
+
+    /// Reads the cloud, and the format it came in. Blocking work: O(bytes).
+    ///
+    /// # Errors
+    /// What [`CloudReader`] gives, as problems.
+    pub(crate) fn parse(&self, app: &App) -> Result<(Cloud, Format), Problem> {
+        let reader = CloudReader::open(&self.bytes[..], reader_limits(app))?;
+        let format = reader.header().format.written();
+        Ok((reader.read()?, format))
+    }
+}
+
+fn reader_limits(app: &App) -> Limits {
+    let limits = &app.config.limits;
+    Limits { max_bytes: Some(limits.body_bytes), max_points: Some(limits.points_in) }
+}
+
+fn is_ply(bytes: &[u8]) -> bool {
+    bytes.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(bytes).starts_with(b"ply")
+}
+
+/// Whether these first bytes of a body, of which `new` have just arrived, hold its header.
+fn header_is_there(bytes: &[u8], new: usize) -> bool {
+    const END: &[u8] = b"end_header";
+    if !is_ply(bytes) {
+        return bytes.len() >= SNIFF;
+    }
+    // One line end must follow. Only what is new is searched: a header that comes byte by byte
+    // must not cost the square of its length.
+    let from = (bytes.len() - new).saturating_sub(END.len() + 1);
+    bytes[from..].windows(END.len() + 1).any(|w| w.starts_with(END) && w[END.len()].is_ascii_whitespace())
+}
+
+/// Refuses from the first bytes of a file what could only be refused later.
+pub(crate) struct HeaderCheck<'a, F> {
+    app: &'a App,
+    /// Hears the points in.
+    known: F,
+    done: bool,
+}
+
+impl<'a, F: FnMut(u64) -> Result<(), Problem>> HeaderCheck<'a, F> {
+    pub(crate) fn new(app: &'a App, known: F) -> Self {
+        Self { app, known, done: false }
+    }
+
+    /// To be shown all that has arrived, of which `new` bytes are new.
+    pub(crate) fn judge(&mut self, bytes: &[u8], new: usize) -> Result<(), Problem> {
+        if self.done || !header_is_there(bytes, new) {
+            return Ok(());
+        }
+        self.done = true;
+        match CloudReader::open(bytes, reader_limits(self.app)) {
+            Ok(reader) => reader.header().points.map_or(Ok(()), &mut self.known),
+            // Text is cut off somewhere here, so only the whole of it can be judged.
+            Err(FormatError::Malformed { .. } | FormatError::Truncated { .. } | FormatError::Empty(_))
+                if !is_ply(bytes) =>
+            {
+                Ok(())
+            }
+            Err(error) => Err(error.into()),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_ply_header_is_noticed_with_its_last_byte_however_it_is_cut() {
+        let header = b"ply\nformat ascii 1.0\nelement vertex 3\nend_header\n";
+        for cut in [1, 2, 3, 7, header.len()] {
+            let mut seen = None;
+            for end in (cut..=header.len()).step_by(cut).chain([header.len()]) {
+                let start = end.saturating_sub(cut);
+                if header_is_there(&header[..end], end - start) {
+                    seen = Some(end);
+                    break;
+                }
+            }
+            assert_eq!(seen, Some(header.len()), "pieces of {cut}");
+        }
+    }
+
+    #[test]
+    fn text_is_looked_at_once_there_is_enough_of_it() {
+        assert!(!header_is_there(b"1 2 3\n", 6));
+        assert!(header_is_there(&[b' '; SNIFF], 1));
+    }
+}

@@ -1,0 +1,263 @@
+//! The Open Inference Protocol, version 2, over HTTP, with Triton's extension for binary tensors: a cloud
+//! as a tensor in, the dense cloud as a tensor out.
+//!
+//! The work is that of [`crate::http::upsample`]; only what stands around the points differs. Errors under
+//! `/v2` are the same [`Problem`]s, with the body that this protocol has (see [`crate::connection::record`]).
+
+mod bounded;
+mod describe;
+mod reply;
+mod request;
+
+use std::sync::Arc;
+
+use axum::body::Body;
+use axum::extract::{Path, State};
+use axum::http::{HeaderMap, HeaderName, Uri, header};
+use axum::response::{IntoResponse, Response};
+use axum::routing::{get, post};
+use axum::{Extension, Json, Router};
+
+use crate::admission::ticket::Ticket;
+use crate::app::App;
+use crate::http::query::Parameters;
+use crate::http::upload::Upload;
+use crate::http::upsample::{self, Order};
+use crate::problem::Problem;
+use densecloud_cloud::Cloud;
+use densecloud_engine::Client;
+use densecloud_formats::{Format, Scalar};
+use request::{Request, read, split};
+
+/// The model's name in paths, whatever its card says.
+const MODEL: &str = "densecloud";
+/// Its one version.
+const VERSION: &str = "1";
+/// The tensor in, and the one out.
+const TENSOR: &str = "points";
+
+/// Bytes of JSON at the beginning of a body, where binary tensors follow.
+const HEADER_LENGTH: HeaderName = HeaderName::from_static("inference-header-content-length");
+/// The longest such JSON that is judged before the rest has arrived; there is no data in it, so it is short.
+const JUDGED: usize = 64 << 10;
+
+/// All paths of the protocol.
+pub(super) fn routes() -> Router<Arc<App>> {
+    Router::new()
+        .route("/v2", get(describe::server))
+        .route("/v2/health/live", get(|| async { Json(serde_json::json!({ "live": true })) }))
+        .route("/v2/health/ready", get(ready))
+        .route("/v2/models/{model}", get(describe::model))
+        .route("/v2/models/{model}/config", get(describe::config))
+        .route("/v2/models/{model}/ready", get(model_ready))
+        .route("/v2/models/{model}/infer", post(infer))
+        .route("/v2/models/{model}/versions/{version}", get(describe::model))
+        .route("/v2/models/{model}/versions/{version}/config", get(describe::config))
+        .route("/v2/models/{model}/versions/{version}/ready", get(model_ready))
+        .route("/v2/models/{model}/versions/{version}/infer", post(infer))
+}
+
+/// Whether a path is this protocol's, and so errors there have its form.
+pub(super) fn is_path(path: &str) -> bool {
+    path.strip_prefix("/v2").is_some_and(|rest| rest.is_empty() || rest.starts_with('/'))
+}
+
+/// Whether a path is asked again and again, to see whether the server is well.
+pub(super) fn is_probe(path: &str) -> bool {
+    is_path(path) && (path.ends_with("/ready") || path.ends_with("/live"))
+}
+
+/// What a path names: a model and perhaps a version.
+type Named = Path<Vec<(String, String)>>;
+
+/// Refuses what is not the one model.
+fn check_model(Path(named): &Named) -> Result<(), Problem> {
+    for (what, name) in named {
+        let known = if what == "model" { MODEL } else { VERSION };
+        if name != known {
+            return Err(Problem::UnknownModel(format!("the {what} {name:?}")));
+        }
+    }
+    Ok(())
+}
+
+async fn ready(State(app): State<Arc<App>>) -> Result<impl IntoResponse, Problem> {
+    app.readiness.probe()?;
+    Ok(Json(serde_json::json!({ "ready": true })))
+}
+
+async fn model_ready(State(app): State<Arc<App>>, named: Named) -> Result<impl IntoResponse, Problem> {
+    check_model(&named)?;
+    app.readiness.probe()?;
+    Ok(Json(serde_json::json!({ "name": MODEL, "ready": true })))
+}
+
+/// As [`upsample::upsample`], of which it is the other door.
+async fn infer(
+    State(app): State<Arc<App>>,
+    Extension(client): Extension<Client>,
+    named: Named,
+    uri: Uri,
+    headers: HeaderMap,
+    body: Body,
+) -> Result<Response, Problem> {
+    let mut upload = Upload::new(&headers, body);
+    let answer = async {
+        check_model(&named)?;
+        if uri.query().is_some_and(|query| !query.is_empty()) {
+            let why = "not read here; put them among the request's \"parameters\"".to_owned();
+            return Err(Problem::parameter("query", why));
+        }
+        let ticket = Ticket::new(&app, client, &headers)?;
+        let deadline = ticket.deadline.clone();
+        deadline.run(answer(&app, ticket, &headers, &mut upload)).await
+    }
+    .await;
+    upload.give_up();
+    answer
+}
+
+async fn answer(
+    app: &Arc<App>,
+    mut ticket: Ticket,
+    headers: &HeaderMap,
+    upload: &mut Upload,
+) -> Result<Response, Problem> {
+    ticket.check()?;
+    ticket.deadline.enter("of upload");
+    let header = header_length(headers)?;
+    let length = upload.length(headers);
+    let mut expected = None;
+    let judge = |bytes: &[u8], _new| match header {
+        Some(header) if header <= bytes.len().min(JUDGED) => {
+            let total = match expected {
+                Some(total) => total,
+                None => judge(&mut ticket, &bytes[..header])?,
+            };
+            expected = Some(total);
+            check_length(total, length.unwrap_or(total.max(bytes.len() as u64)))
+        }
+        _ => Ok(()),
+    };
+    let received = upload.receive_judged(headers, app, judge).await?;
+    let arrived = (received.bytes().len(), received.took);
+    let read = move |app: &App| {
+        let (json, binary) = split(received.bytes(), header)?;
+        let request = read(json)?;
+        check_points(app, &request)?;
+        let mut cloud = Cloud::from(request.positions(binary)?);
+        cloud.origin.sha256 = Some(request.hash(&cloud.positions));
+        let Request { parameters, reply, .. } = request;
+        let input = Format::Npy { scalar: reply.datatype.scalar(), fields: false };
+        // To the rest, a tensor is a NumPy array.
+        Ok((Order { cloud, parameters, input, wanted: None }, reply))
+    };
+    let (mut done, reply) = upsample::run(app, ticket, arrived, read, |_| {}).await?;
+    if done.format != (Format::Npy { scalar: reply.datatype.scalar(), fields: false }) {
+        let why = "FP32 is too coarse for these coordinates and this many points; send FP64";
+        done.about.warnings.push(why.into());
+    }
+    let (mut headers, points) = (done.headers(), done.points());
+    // That of the answer itself.
+    headers.remove(header::CONTENT_TYPE);
+    Ok((headers, Extension(points), reply.response(done)?).into_response())
+}
+
+/// The value of [`HEADER_LENGTH`].
+fn header_length(headers: &HeaderMap) -> Result<Option<usize>, Problem> {
+    let Some(value) = headers.get(HEADER_LENGTH) else { return Ok(None) };
+    let length = value.to_str().ok().and_then(|value| value.trim().parse().ok());
+    let wrong = || {
+        Problem::MalformedRequest(format!(
+            "Inference-Header-Content-Length: {value:?} is not a number of bytes"
+        ))
+    };
+    length.map(Some).ok_or_else(wrong)
+}
+
+/// Refuses from the JSON alone what could only be refused later; gives the bytes that the whole body has.
+fn judge(ticket: &mut Ticket, json: &[u8]) -> Result<u64, Problem> {
+    let request = read(json)?;
+    ticket.reserve(request.points, request.parameters.points_out(request.points))?;
+    Ok(json.len() as u64 + request.binary_bytes())
+}
+
+fn check_points(app: &App, request: &Request<'_>) -> Result<(), Problem> {
+    app.check_points(request.points, request.parameters.points_out(request.points))
+}
+
+fn check_length(expected: u64, found: u64) -> Result<(), Problem> {
+    if found == expected {
+        return Ok(());
+    }
+    let why =
+        format!("the body has {found} bytes, but its JSON and the tensor that it describes have {expected}");
+    Err(Problem::MalformedRequest(why))
+}
+
+/// The two types of number that a tensor may have.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Datatype {
+    F32,
+    F64,
+}
+
+impl Datatype {
+    fn of(name: &str) -> Option<Self> {
+        [Self::F32, Self::F64].into_iter().find(|datatype| datatype.name() == name)
+    }
+
+    fn name(self) -> &'static str {
+        match self {
+            Self::F32 => "FP32",
+            Self::F64 => "FP64",
+        }
+    }
+
+    /// Bytes of one number.
+    fn width(self) -> usize {
+        match self {
+            Self::F32 => 4,
+            Self::F64 => 8,
+        }
+    }
+
+    fn scalar(self) -> Scalar {
+        match self {
+            Self::F32 => Scalar::F32,
+            Self::F64 => Scalar::F64,
+        }
+    }
+}
+
+/// The names of the parameters that a request may have.
+pub(super) const PARAMETERS: [&str; 6] = ["ratio", "points", "spacing", "density", "seed", "keep_input"];
+
+/// Reads the parameters of a request, which are those of `/upsample` that tell of points alone.
+fn parameters(pairs: &[(String, String)]) -> Result<Parameters, Problem> {
+    if let Some((unknown, _)) = pairs.iter().find(|(name, _)| !PARAMETERS.contains(&name.as_str())) {
+        return Err(Problem::parameter(unknown, format!("unknown; there are {}", PARAMETERS.join(", "))));
+    }
+    Parameters::from_pairs(pairs)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_paths_of_the_protocol_are_its_own() {
+        for (path, its_own, probe) in [
+            ("/v2", true, false),
+            ("/v2/", true, false),
+            ("/v2/health/ready", true, true),
+            ("/v2/models/densecloud/versions/1/ready", true, true),
+            ("/v2/models/densecloud/infer", true, false),
+            ("/v20", false, false),
+            ("/upsample", false, false),
+            ("/ready", false, false),
+        ] {
+            assert_eq!((is_path(path), is_probe(path)), (its_own, probe), "{path}");
+        }
+    }
+}

@@ -1,0 +1,241 @@
+//! What is told of a job, as JSON.
+
+use std::sync::Arc;
+
+use serde::Serialize;
+use serde_json::Value;
+
+use crate::app::App;
+use crate::http::upsample::About;
+use crate::jobs::{ask, seen};
+use crate::problem::Problem;
+use densecloud_engine::Client;
+use densecloud_jobs::{Failure, Jobs, Record, ResultFile, State, Task, Time, now};
+
+/// One job.
+#[derive(Debug, Clone, Serialize)]
+pub(crate) struct Document {
+    pub(crate) id: String,
+    pub(crate) state: &'static str,
+    #[serde(skip)]
+    pub(crate) over: bool,
+    points_in: u64,
+    points_out: u64,
+    pub(crate) progress: Progress,
+    /// Queued jobs before it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) position: Option<u64>,
+    pub(crate) attempts: u32,
+    created: String,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    started: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    finished: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    expires: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    expected_start: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    expected_end: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    result: Option<ResultDocument>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    problem: Option<Value>,
+    request_id: String,
+}
+
+/// How far it is.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub(crate) struct Progress {
+    stage: Option<&'static str>,
+    level: usize,
+    levels: usize,
+    fraction: f64,
+}
+
+/// Its result.
+#[derive(Debug, Clone, Serialize)]
+struct ResultDocument {
+    url: String,
+    media_type: String,
+    bytes: u64,
+    sha256: String,
+    provenance: String,
+    warnings: Vec<String>,
+}
+
+impl Document {
+    /// A job by its name.
+    pub(crate) async fn ask(app: &Arc<App>, client: &Client, id: String) -> Result<Self, Problem> {
+        let (shared, client) = (Arc::clone(app), client.clone());
+        ask(app, move |jobs| Self::of(&shared, jobs, &seen(&shared, jobs, &client, &id)?)).await
+    }
+
+    /// Blocks for moments.
+    pub(crate) fn of(app: &App, jobs: &Jobs, record: &Record) -> Result<Self, Problem> {
+        let task = jobs.task(&record.id);
+        Self::with(app, jobs, record, task.as_deref())
+    }
+
+    /// As [`Document::of`], with what is known of a running job in memory.
+    pub(crate) fn with(
+        app: &App,
+        jobs: &Jobs,
+        record: &Record,
+        task: Option<&Task>,
+    ) -> Result<Self, Problem> {
+        let progress = Progress::of(record, task);
+        let mut document = Self {
+            id: record.id.clone(),
+            state: record.state.name(),
+            over: record.state.is_final(),
+            points_in: record.points_in,
+            points_out: record.points_out,
+            position: None,
+            attempts: record.attempts,
+            created: rfc3339(record.created),
+            started: record.started.map(rfc3339),
+            finished: record.finished.map(rfc3339),
+            expires: record.finished.map(|end| {
+                let kept = jobs.settings().expiry.as_millis().try_into().unwrap_or(Time::MAX);
+                rfc3339(end.saturating_add(kept))
+            }),
+            expected_start: None,
+            expected_end: None,
+            result: record
+                .result
+                .as_ref()
+                .map(|result| ResultDocument::of(&record.id, result))
+                .transpose()?,
+            problem: record.failure.as_ref().map(|failure| told(failure, &record.request_id)),
+            request_id: record.request_id.clone(),
+            progress,
+        };
+        match record.state {
+            State::Queued => {
+                let (count, points) = jobs.store().ahead(record)?;
+                document.position = Some(count);
+                let start = time(app, points.saturating_add(jobs.points_running(&record.id)))
+                    .map(|wait| now() + wait);
+                document.expected_start = start.map(rfc3339);
+                document.expected_end =
+                    start.zip(time(app, record.points_out)).map(|(start, work)| rfc3339(start + work));
+            }
+            State::Running => document.expect_end(app),
+            State::Done | State::Failed | State::Cancelled => {}
+        }
+        Ok(document)
+    }
+
+    /// Takes a running job's progress from memory.
+    pub(crate) fn advance(&mut self, app: &App, task: &Task) {
+        if let Some(progress) = task.progress() {
+            self.progress = progress.into();
+            self.expect_end(app);
+        }
+    }
+
+    fn expect_end(&mut self, app: &App) {
+        let left = self.points_out as f64 * (1.0 - self.progress.fraction);
+        self.expected_end = time(app, left as u64).map(|work| rfc3339(now() + work));
+    }
+}
+
+/// Milliseconds for so many points.
+fn time(app: &App, points: u64) -> Option<Time> {
+    Some((points as f64 / app.engine.rate()? * 1000.0).min(1e15) as Time)
+}
+
+impl Progress {
+    fn of(record: &Record, task: Option<&Task>) -> Self {
+        let running = task.filter(|_| record.state == State::Running).and_then(Task::progress);
+        running.map_or_else(
+            || {
+                let fraction = if record.state == State::Done { 1.0 } else { 0.0 };
+                Self { stage: None, level: 0, levels: 0, fraction }
+            },
+            Self::from,
+        )
+    }
+}
+
+impl From<densecloud_engine::Progress> for Progress {
+    fn from(progress: densecloud_engine::Progress) -> Self {
+        Self {
+            stage: progress.stage.map(densecloud_cascade::Stage::name),
+            level: progress.level,
+            levels: progress.levels,
+            fraction: progress.fraction,
+        }
+    }
+}
+
+impl ResultDocument {
+    fn of(id: &str, result: &ResultFile) -> Result<Self, Problem> {
+        let about = about(result)?;
+        Ok(Self {
+            url: format!("/jobs/{id}/result"),
+            media_type: about.media_type,
+            bytes: result.bytes,
+            sha256: result.sha256.clone(),
+            provenance: about.provenance,
+            warnings: about.warnings,
+        })
+    }
+}
+
+/// What the work left beside a result.
+pub(crate) fn about(result: &ResultFile) -> Result<About, Problem> {
+    serde_json::from_str(&result.about).map_err(|error| Problem::Internal(error.to_string()))
+}
+
+/// A failure as the problem that `POST /upsample` would have answered with, or one of jobs alone.
+fn told(failure: &Failure, request_id: &str) -> Value {
+    let problem = match failure {
+        Failure::Refused(problem) => match serde_json::from_str(problem) {
+            Ok(problem) => return problem,
+            Err(error) => Problem::Internal(error.to_string()),
+        },
+        Failure::Storage { why, full: true } => Problem::DiskFull(why.clone()),
+        Failure::Storage { why, full: false } => Problem::Internal(why.clone()),
+        Failure::GaveUp { attempts } => Problem::GaveUp { attempts: *attempts },
+        Failure::Crashed => Problem::Internal("a worker panicked".to_owned()),
+    };
+    problem.value(request_id)
+}
+
+/// A time as RFC 3339 has it, in UTC.
+fn rfc3339(time: Time) -> String {
+    let (days, rest) = (time.div_euclid(86_400_000), time.rem_euclid(86_400_000));
+    // Days to a date in years that begin in March, so that a leap day ends one (Howard Hinnant's
+    // `civil_from_days`).
+    let shifted = days + 719_468;
+    let (era, day) = (shifted.div_euclid(146_097), shifted.rem_euclid(146_097));
+    let year = (day - day / 1460 + day / 36_524 - day / 146_096) / 365;
+    let day = day - (365 * year + year / 4 - year / 100);
+    let month = (5 * day + 2) / 153;
+    let date = day - (153 * month + 2) / 5 + 1;
+    let (month, next) = if month < 10 { (month + 3, 0) } else { (month - 9, 1) };
+    let year = year + era * 400 + next;
+    let (seconds, millis) = (rest / 1000, rest % 1000);
+    let (hour, minute, second) = (seconds / 3600, seconds / 60 % 60, seconds % 60);
+    format!("{year:04}-{month:02}-{date:02}T{hour:02}:{minute:02}:{second:02}.{millis:03}Z")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn times_are_those_of_the_calendar() {
+        for (time, text) in [
+            (0, "1970-01-01T00:00:00.000Z"),
+            (951_782_400_000, "2000-02-29T00:00:00.000Z"),
+            (1_709_251_199_999, "2024-02-29T23:59:59.999Z"),
+            (4_107_542_400_000, "2100-03-01T00:00:00.000Z"),
+            (1_795_392_000_123, "2026-11-23T00:00:00.123Z"),
+        ] {
+            assert_eq!(rfc3339(time), text);
+        }
+    }
+}

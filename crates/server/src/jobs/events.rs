@@ -1,0 +1,126 @@
+//! `GET /jobs/{id}/events`: a job's way to its end, as server-sent events.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use axum::body::{Body, Bytes};
+use axum::extract::{Extension, State as Shared};
+use axum::http::{HeaderValue, header};
+use axum::response::{IntoResponse, Response};
+use futures::stream;
+use tokio::sync::watch;
+use tokio::time::{Instant, sleep};
+
+use crate::app::App;
+use crate::jobs::document::{Document, Progress};
+use crate::jobs::{Name, ask, seen};
+use crate::problem::Problem;
+use densecloud_engine::Client;
+use densecloud_jobs::{State, Task};
+
+/// How often a running job's progress is looked at, in memory. The database is asked only when a job has changed: a
+/// thousand watchers cost nothing while none has.
+const TICK: Duration = Duration::from_millis(250);
+/// Without news, proxies and our own watch over slow readers want a sign of life.
+const ALIVE: Duration = Duration::from_secs(10);
+
+/// The handler. An event has the name of its kind, `progress` or a final state, and the job as `GET
+/// /jobs/{id}` tells it. The stream ends with the job, and when the server stops.
+pub(crate) async fn events(
+    Shared(app): Shared<Arc<App>>,
+    Extension(client): Extension<Client>,
+    Name(id): Name,
+) -> Result<Response, Problem> {
+    let changes = app.jobs()?.changes();
+    let alive = ALIVE.min(app.config.timeouts.stall / 3);
+    let mut state = Events { app, client, id, changes, alive, seen: None, told: None, over: false };
+    state.look().await?;
+    let body = Body::from_stream(stream::unfold(state, |mut events| async move {
+        let text = events.next().await?;
+        Some((Ok::<_, std::convert::Infallible>(Bytes::from(text)), events))
+    }));
+    let mut response = body.into_response();
+    let headers = response.headers_mut();
+    headers.insert(header::CONTENT_TYPE, HeaderValue::from_static("text/event-stream"));
+    headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
+    Ok(response)
+}
+
+struct Events {
+    app: Arc<App>,
+    client: Client,
+    id: String,
+    changes: watch::Receiver<()>,
+    alive: Duration,
+    /// The job as it was last looked up, and while it runs what is known of it in memory.
+    seen: Option<(Document, Option<Arc<Task>>)>,
+    told: Option<News>,
+    over: bool,
+}
+
+/// What makes an event of a document; expected times alone, which always change, do not.
+type News = (&'static str, u32, Option<u64>, Progress);
+
+impl Events {
+    /// Looks the job up.
+    async fn look(&mut self) -> Result<(), Problem> {
+        // Before the question, so that no change between is missed.
+        self.changes.mark_unchanged();
+        let (shared, client, id) = (Arc::clone(&self.app), self.client.clone(), self.id.clone());
+        let seen = ask(&self.app, move |jobs| {
+            // Before the record: a job that has its task by then runs, or is over.
+            let task = jobs.task(&id);
+            let record = seen(&shared, jobs, &client, &id)?;
+            let document = Document::with(&shared, jobs, &record, task.as_deref())?;
+            Ok((document, task.filter(|_| record.state == State::Running)))
+        });
+        self.seen = Some(seen.await?);
+        Ok(())
+    }
+
+    /// The next event's text; nothing after the last.
+    async fn next(&mut self) -> Option<String> {
+        let start = Instant::now();
+        loop {
+            if self.over || self.app.readiness.check() == Err(Problem::Draining) {
+                return None;
+            }
+            if self.changes.has_changed().unwrap_or(false) {
+                match self.look().await {
+                    Ok(()) => {}
+                    Err(Problem::NoJob(_)) => {
+                        // Deleted or expired while it was watched.
+                        self.over = true;
+                        return Some(format!("event: deleted\ndata: {{\"id\":\"{}\"}}\n\n", self.id));
+                    }
+                    // The job is there all the same; its watcher waits, too.
+                    Err(error) => {
+                        tracing::debug!(job = self.id, %error, "a watched job cannot be looked at");
+                        self.changes.mark_changed();
+                        sleep(TICK).await;
+                        return Some(": alive\n\n".to_owned());
+                    }
+                }
+            }
+            let (document, task) = self.seen.as_mut()?;
+            if let Some(task) = task {
+                document.advance(&self.app, task);
+            }
+            let news = (document.state, document.attempts, document.position, document.progress.clone());
+            if self.told.as_ref() != Some(&news) {
+                self.told = Some(news);
+                self.over = document.over;
+                let kind = if document.over { document.state } else { "progress" };
+                let data = serde_json::to_string(&document).unwrap_or_default();
+                return Some(format!("event: {kind}\ndata: {data}\n\n"));
+            }
+            if start.elapsed() >= self.alive {
+                return Some(": alive\n\n".to_owned());
+            }
+            tokio::select! {
+                _ = self.changes.changed() => self.changes.mark_changed(),
+                () = sleep(TICK) => {}
+            }
+        }
+    }
+}

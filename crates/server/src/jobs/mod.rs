@@ -1,0 +1,410 @@
+//! `/jobs`: clouds that are made dense while nobody waits.
+
+mod document;
+pub(crate) mod events;
+pub(crate) mod result;
+pub(crate) mod work;
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use axum::Json;
+use axum::body::Body;
+use axum::extract::{Extension, FromRequestParts, Path, State};
+use axum::http::request::Parts;
+use axum::http::{HeaderMap, HeaderValue, StatusCode, Uri, header};
+use axum::response::{IntoResponse, Response};
+use serde::Serialize;
+use tokio::task::spawn_blocking;
+use tokio::time::timeout;
+
+use crate::admission::budget::Held;
+use crate::admission::deadline::Deadline;
+use crate::app::App;
+use crate::connection::request_id::RequestId;
+use crate::http::accepted::accepted;
+use crate::http::form::Asking;
+use crate::http::query::{self, Parameters};
+use crate::http::upload::{Received, Upload};
+use crate::http::upsample::{Order, prepare};
+use crate::jobs::document::Document;
+use crate::jobs::work::Asked;
+use crate::problem::{Problem, SOON};
+use densecloud_engine::{Client, Cost};
+use densecloud_formats::Format;
+use densecloud_jobs::{Admitted, Deleted, Draft, Jobs, Load, NewJob, Record, StoreError, Submitted};
+
+impl App {
+    pub(crate) fn jobs(&self) -> Result<&Arc<Jobs>, Problem> {
+        self.jobs.as_ref().ok_or(Problem::JobsOff)
+    }
+}
+
+impl From<StoreError> for Problem {
+    fn from(error: StoreError) -> Self {
+        match error {
+            StoreError::OverBudget { used, wanted, limit } => Self::JobDisk { used, wanted, limit },
+            StoreError::OtherRequest => Self::KeyReused,
+            StoreError::Full { queued, limit } => Self::JobsFull { queued, limit, retry_after: SOON },
+            StoreError::ClientFull { queued, limit } => Self::ClientJobs { queued, limit, retry_after: SOON },
+            error if error.is_full() => Self::DiskFull(error.to_string()),
+            error if error.is_busy() => Self::JobsBusy("another program has locked the jobs' database"),
+            error => Self::Internal(error.to_string()),
+        }
+    }
+}
+
+/// Questions to the store at a time: should the database be locked, those that wait for it must leave threads for
+/// the requests that need none of it.
+pub(crate) const ASKING: usize = 4;
+/// How long a question waits for its turn.
+const TURN: Duration = Duration::from_secs(5);
+
+/// Asks the store, on a thread that may wait for the disk.
+///
+/// # Errors
+/// [`Problem::JobsOff`], [`Problem::JobsBusy`], or the question's own.
+pub(crate) async fn ask<T: Send + 'static>(
+    app: &Arc<App>,
+    question: impl FnOnce(&Arc<Jobs>) -> Result<T, Problem> + Send + 'static,
+) -> Result<T, Problem> {
+    let jobs = Arc::clone(app.jobs()?);
+    let turn = timeout(TURN, Arc::clone(&app.asking).acquire_owned()).await;
+    let turn = turn.map_err(|_| Problem::JobsBusy("the jobs' database is busy with other requests"))?;
+    let asked = spawn_blocking(move || {
+        // Until the answer is there, also where nobody waits for it any more.
+        let _turn = turn;
+        question(&jobs)
+    });
+    asked.await.map_err(|error| Problem::Internal(error.to_string()))?
+}
+
+/// Clouds of jobs that are written at a time: each takes a thread, and a while.
+pub(crate) const WRITING: usize = 4;
+
+/// Does, when it is its `turn`, with a job's cloud what takes a while, and nothing with the database: those that wait
+/// for a turn, until their deadline, keep nobody from asking the store.
+async fn work<T: Send + 'static>(
+    app: &Arc<App>,
+    turn: impl Send + 'static,
+    work: impl FnOnce(&App) -> Result<T, Problem> + Send + 'static,
+) -> Result<T, Problem> {
+    let app = Arc::clone(app);
+    let done = spawn_blocking(move || {
+        let _turn = turn;
+        work(&app)
+    });
+    done.await.map_err(|error| Problem::Internal(error.to_string()))?
+}
+
+/// `POST /jobs`: as `POST /upsample` until the cloud is read, then 202 instead of the result. What
+/// `--request-timeout` limits is the upload.
+pub(crate) async fn submit(
+    State(app): State<Arc<App>>,
+    Extension(id): Extension<RequestId>,
+    Extension(client): Extension<Client>,
+    uri: Uri,
+    headers: HeaderMap,
+    body: Body,
+) -> Result<Response, Problem> {
+    let mut upload = Upload::new(&headers, body);
+    let answer = match Deadline::of(&headers, app.config.timeouts.request) {
+        Ok(deadline) => {
+            deadline.enter("of upload");
+            deadline.run(take(&app, &id, &client, &uri, &headers, &mut upload)).await
+        }
+        Err(problem) => Err(problem),
+    };
+    upload.give_up();
+    if let Err(problem @ (Problem::JobsFull { .. } | Problem::ClientJobs { .. } | Problem::JobDisk { .. })) =
+        &answer
+    {
+        app.metrics.refused(problem.outcome());
+    }
+    answer
+}
+
+/// Tells a client whose job is refused when to come back: when as many of the jobs that wait are done as were one
+/// too many, its own by turns with the others'.
+fn refused(app: &App, jobs: &Jobs, client: &Client, error: StoreError) -> Problem {
+    let wait = |clients: u64, load: Load| {
+        let points = load.points as f64 / load.jobs.max(1) as f64 * clients.max(1) as f64;
+        let seconds = points / app.engine.rate()? / jobs.settings().running.max(1) as f64;
+        Duration::try_from_secs_f64(seconds).ok()
+    };
+    let load = jobs.store().load(client.name()).unwrap_or_default();
+    match error {
+        StoreError::Full { queued, limit } => {
+            Problem::JobsFull { queued, limit, retry_after: wait(1, load).unwrap_or(SOON) }
+        }
+        StoreError::ClientFull { queued, limit } => {
+            Problem::ClientJobs { queued, limit, retry_after: wait(load.clients, load).unwrap_or(SOON) }
+        }
+        error => error.into(),
+    }
+}
+
+async fn take(
+    app: &Arc<App>,
+    id: &RequestId,
+    client: &Client,
+    uri: &Uri,
+    headers: &HeaderMap,
+    upload: &mut Upload,
+) -> Result<Response, Problem> {
+    app.jobs()?;
+    app.readiness.check()?;
+    let wanted = accepted(headers)?;
+    let key = idempotency_key(headers)?;
+    if key.is_none() {
+        // With a key it may be one that is there already.
+        let (shared, client) = (Arc::clone(app), client.clone());
+        let room = move |jobs: &Arc<Jobs>| {
+            jobs.store().has_room(client.name()).map_err(|error| refused(&shared, jobs, &client, error))
+        };
+        ask(app, room).await?;
+    }
+    let known = |points_in, points_out| {
+        app.check_points(points_in, points_out)?;
+        app.engine.check_memory(Cost { points_in, points_out }).map_err(Problem::Refused)
+    };
+    Asked::check(uri.query().unwrap_or_default())?;
+    let Asking { parameters, query, received } = Asking::receive(upload, uri, headers, app, known).await?;
+    let asked = Asked::of(query, wanted)?;
+    let owner = app.config.access.owner(client).unwrap_or_default();
+    let (name, id) = (client.name().to_owned(), id.as_str().to_owned());
+    let turn = app.parsing.turn(client, received.bytes().len() as u64).await;
+    let draft = work(app, turn, move |app| {
+        let (job, held) = new_job(app, received, &parameters, wanted, &asked)?;
+        let job = NewJob { key, owner, client: name, request_id: id, ..job };
+        Ok(Arc::new((Draft::new(job), held)))
+    })
+    .await?;
+    let (shared, new, of) = (Arc::clone(app), Arc::clone(&draft), client.clone());
+    let admit = move |jobs: &Arc<Jobs>| {
+        jobs.store().admit(&new.0).map_err(|error| refused(&shared, jobs, &of, error))
+    };
+    let (submitted, document) = match ask(app, admit).await? {
+        Admitted::Known(record) => {
+            let (shared, known) = (Arc::clone(app), record.clone());
+            let document = ask(app, move |jobs| Document::of(&shared, jobs, &known)).await?;
+            (Submitted::Known(*record), document)
+        }
+        Admitted::New(id) => {
+            let (jobs, new) = (Arc::clone(app.jobs()?), Arc::clone(&draft));
+            let turn = Arc::clone(&app.writing).acquire_owned().await;
+            let turn = turn.map_err(|error| Problem::Internal(error.to_string()))?;
+            let input = work(app, turn, move |_| {
+                jobs.store().write_input(&id, &new.0).map_err(|error| StoreError::from(error).into())
+            });
+            let input = input.await?;
+            let (shared, of) = (Arc::clone(app), client.clone());
+            ask(app, move |jobs| {
+                let submitted =
+                    jobs.insert(&draft.0, input).map_err(|error| refused(&shared, jobs, &of, error))?;
+                let (Submitted::New(record) | Submitted::Known(record)) = &submitted;
+                let document = Document::of(&shared, jobs, record)?;
+                Ok((submitted, document))
+            })
+            .await?
+        }
+    };
+    let (status, record) = match submitted {
+        Submitted::New(record) => (StatusCode::ACCEPTED, record),
+        Submitted::Known(record) => (StatusCode::OK, record),
+    };
+    let location = HeaderValue::from_str(&format!("/jobs/{}", record.id))
+        .map_err(|error| Problem::Internal(error.to_string()))?;
+    Ok((status, [(header::LOCATION, location)], Json(document)).into_response())
+}
+
+/// Blocking work: reads the cloud, only to know that it can be read, and makes a job of its file.
+fn new_job(
+    app: &App,
+    received: Received,
+    parameters: &Parameters,
+    wanted: Option<Format>,
+    asked: &Asked,
+) -> Result<(NewJob, Held), Problem> {
+    let prepared = prepare(app, Order::read(app, &received, parameters.clone(), wanted)?)?;
+    let finite = prepared.request.cloud.positions.iter().filter(|p| p.iter().all(|c| c.is_finite())).count();
+    let points_out = prepared.request.target.points_out(finite as u64)?;
+    let cost = Cost { points_in: finite as u64, points_out };
+    app.engine.check_memory(cost).map_err(Problem::Refused)?;
+    let (input, held) = received.into_parts();
+    let job = NewJob {
+        request: asked.text(),
+        key: None,
+        owner: String::new(),
+        client: String::new(),
+        request_id: String::new(),
+        points_in: prepared.about.points_in,
+        points_out,
+        result_bytes: prepared.file,
+        input,
+    };
+    Ok((job, held))
+}
+
+/// The longest key that is taken.
+const LONGEST: usize = 255;
+
+fn idempotency_key(headers: &HeaderMap) -> Result<Option<String>, Problem> {
+    let Some(key) = headers.get("idempotency-key") else { return Ok(None) };
+    match key.to_str() {
+        Ok(text) if (1..=LONGEST).contains(&text.len()) => Ok(Some(text.to_owned())),
+        _ => {
+            let why = format!("not 1 to {LONGEST} visible ASCII characters");
+            Err(Problem::parameter("Idempotency-Key", why))
+        }
+    }
+}
+
+/// A job's name in a path; what is no text names none.
+pub(crate) struct Name(pub(crate) String);
+
+impl<S: Send + Sync> FromRequestParts<S> for Name {
+    type Rejection = Problem;
+
+    async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, Problem> {
+        match Path::from_request_parts(parts, state).await {
+            Ok(Path(name)) => Ok(Self(name)),
+            Err(_) => Err(Problem::NoJob("of this name".to_owned())),
+        }
+    }
+}
+
+/// `GET /jobs/{id}`.
+pub(crate) async fn get(
+    State(app): State<Arc<App>>,
+    Extension(client): Extension<Client>,
+    Name(id): Name,
+) -> Result<Json<Document>, Problem> {
+    Ok(Json(Document::ask(&app, &client, id).await?))
+}
+
+/// Whether a client may see a job.
+pub(crate) fn is_seen(app: &App, client: &Client, job: &Record) -> bool {
+    app.config.access.owner(client).is_none_or(|owner| owner == job.owner)
+}
+
+/// The record of a job that a client may see.
+///
+/// # Errors
+/// [`Problem::NoJob`], for another's as for none.
+pub(crate) fn seen(app: &App, jobs: &Jobs, client: &Client, id: &str) -> Result<Record, Problem> {
+    let found = jobs.store().get(id)?.filter(|job| is_seen(app, client, job));
+    found.ok_or_else(|| Problem::NoJob(id.to_owned()))
+}
+
+/// `DELETE /jobs/{id}`: cancels a job that is not over (200, and the job), forgets one that is (204).
+pub(crate) async fn delete(
+    State(app): State<Arc<App>>,
+    Extension(client): Extension<Client>,
+    Name(id): Name,
+) -> Result<Response, Problem> {
+    let (shared, name, of) = (Arc::clone(&app), id.clone(), client.clone());
+    let deleted = ask(&app, move |jobs| {
+        seen(&shared, jobs, &of, &name)?;
+        Ok(jobs.delete(&name)?)
+    });
+    match deleted.await? {
+        Some(Deleted::Cancelled) => Ok(Json(Document::ask(&app, &client, id).await?).into_response()),
+        Some(Deleted::Forgotten) => Ok(StatusCode::NO_CONTENT.into_response()),
+        None => Err(Problem::NoJob(id)),
+    }
+}
+
+/// A page of `GET /jobs`.
+#[derive(Debug, Serialize)]
+pub(crate) struct Page {
+    jobs: Vec<Document>,
+    /// The next page, where there is one.
+    next: Option<String>,
+}
+
+/// Jobs on a page where the request does not say.
+const PAGE: u32 = 20;
+/// And at most.
+const LONGEST_PAGE: u32 = 100;
+
+/// `GET /jobs`: the newest first.
+pub(crate) async fn list(
+    State(app): State<Arc<App>>,
+    Extension(client): Extension<Client>,
+    uri: Uri,
+) -> Result<Json<Page>, Problem> {
+    let (before, limit) = page_of(&uri)?;
+    let owner = app.config.access.owner(&client);
+    let shared = Arc::clone(&app);
+    let page = ask(&app, move |jobs| {
+        // One more than asked for tells whether there is another page.
+        let mut records = jobs.store().list(before, limit + 1, owner.as_deref())?;
+        let more = records.len() > limit as usize;
+        records.truncate(limit as usize);
+        let last = records.last().map(|record| record.number).filter(|_| more);
+        let next = last.map(|number| format!("/jobs?limit={limit}&before={number}"));
+        let jobs = records.iter().map(|record| Document::of(&shared, jobs, record));
+        Ok(Page { jobs: jobs.collect::<Result<_, _>>()?, next })
+    });
+    Ok(Json(page.await?))
+}
+
+fn page_of(uri: &Uri) -> Result<(Option<i64>, u32), Problem> {
+    let (mut before, mut limit) = (None, PAGE);
+    let pairs = query::pairs(uri)?;
+    for (i, (name, value)) in pairs.iter().enumerate() {
+        if pairs[..i].iter().any(|(earlier, _)| earlier == name) {
+            return Err(Problem::parameter(name, "given twice".into()));
+        }
+        let wrong = |what: String| Problem::parameter(name, format!("{value:?} is not {what}"));
+        match name.as_str() {
+            "before" => match value.parse() {
+                Ok(number) if number > 0 => before = Some(number),
+                _ => return Err(wrong("a number of a job".into())),
+            },
+            "limit" => match value.parse() {
+                Ok(number) if (1..=LONGEST_PAGE).contains(&number) => limit = number,
+                _ => return Err(wrong(format!("a number from 1 to {LONGEST_PAGE}"))),
+            },
+            _ => return Err(Problem::parameter(name, "unknown; there are before and limit".into())),
+        }
+    }
+    Ok((before, limit))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Config;
+    use densecloud_cascade::Fake;
+    use densecloud_engine::{Engine, EngineConfig};
+    use densecloud_jobs::Settings;
+
+    #[tokio::test]
+    async fn clouds_that_are_written_and_questions_to_the_store_do_not_wait_for_each_other() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let engine = Engine::with_backend(Arc::new(Fake::new()), EngineConfig::default()).expect("an engine");
+        let jobs = Arc::new(Jobs::open(Settings::new(folder.path().to_owned())).expect("a store"));
+        let app = Arc::new(App::new(engine, Config::default(), Some(jobs)).expect("an app"));
+        app.readiness.ready();
+        let writing = app.writing.acquire_many(WRITING as u32).await.expect("turns");
+        assert!(ask(&app, |jobs| Ok(jobs.store().used()?)).await.is_ok());
+        drop(writing);
+        let asking = app.asking.acquire_many(ASKING as u32).await.expect("turns");
+        let post = async |body: &'static str| {
+            let mut headers = HeaderMap::new();
+            headers.insert("idempotency-key", HeaderValue::from_static("k-1"));
+            let (app, uri) = (State(Arc::clone(&app)), Uri::from_static("/jobs?ratio=1"));
+            let id = Extension(RequestId::of(&headers));
+            let answer = submit(app, id, Extension(Client::new("a")), uri, headers, body.into()).await;
+            answer.expect_err("no turn")
+        };
+        let problem = post("no cloud").await;
+        assert_eq!(problem.outcome(), "unsupported-format", "{problem}");
+        let problem = post("0 0 0\n1 0 0\n0 1 0\n0 0 1\n").await;
+        assert_eq!(problem.outcome(), "jobs-busy");
+        assert!(!problem.to_string().contains("another program"), "{problem}");
+        drop(asking);
+    }
+}

@@ -1,0 +1,236 @@
+//! From the cascade's points to a result: the input's points among them, and what is known of each.
+
+use super::carry::{Near, carry, normal_of};
+use super::keep::without_nearest;
+use super::rules::{Rule, Rules};
+use densecloud_cloud::{Attribute, Cloud, Frame, Origin, Point, Position, Values};
+use densecloud_geometry::estimate_normals;
+
+/// Neighbours that an estimated normal is made of.
+const NORMAL_NEIGHBOURS: usize = 16;
+
+/// What is done with the cascade's points.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Finish {
+    /// How new points come by the source's attributes.
+    pub rules: Rules,
+    /// Whether the source's finite points come first in the result, exactly, with exactly their attributes.
+    /// Each takes the place of the new point nearest to it, so the result has as many points as without.
+    pub keep_input: bool,
+    /// Whether each point tells the row of the source point that it is, or that is nearest (`source_index`,
+    /// counted from 0), and whether it is new (`is_generated`, 0 or 1).
+    pub source_fields: bool,
+    /// Whether `nx`, `ny` and `nz` are estimated from the result's points, rather than carried over. On the
+    /// side of the source's normals, if it has some; else towards the sensor; else on an arbitrary one.
+    /// Points of the source that are kept keep theirs.
+    pub estimate_normals: bool,
+    /// Where the sensor stood; `None` is where the source says.
+    pub sensor: Option<Position>,
+}
+
+impl Finish {
+    /// Bytes that a result's point takes beside its position, where its source has these attributes.
+    #[must_use]
+    pub fn bytes_a_point(&self, source: &[Attribute]) -> u64 {
+        let kept = source.iter().filter(|a| self.rules.of(&a.name, a.values.kind()) != Rule::Drop);
+        let kept: u64 = kept.map(|a| a.values.kind().size() as u64).sum();
+        kept + 5 * u64::from(self.source_fields) + 12 * u64::from(self.estimate_normals)
+    }
+
+    /// What a result takes over of what the source's file tells of the whole, and a sentence about what it
+    /// does not. Tables that refer to points by their numbers (faces) stay true only where all points are
+    /// kept.
+    #[must_use]
+    pub fn origin(&self, source: &Cloud) -> (Origin, Option<String>) {
+        let mut origin = source.origin.clone();
+        if self.keep_input && source.positions.as_flattened().iter().all(|c| c.is_finite()) {
+            return (origin, None);
+        }
+        let dropped = origin.drop_references();
+        let lost = (!dropped.is_empty())
+            .then(|| format!("not carried over: {} (about the input's points)", dropped.join(", ")));
+        (origin, lost)
+    }
+
+    /// Whether there is anything to do.
+    pub fn is_needed(&self, source: &Cloud) -> bool {
+        !source.attributes.is_empty() || self.keep_input || self.source_fields || self.estimate_normals
+    }
+}
+
+/// Finishes a result. `None` when `cancelled` says so in between, or when no source point is finite.
+///
+/// Cost: that of [`carry()`](super::carry()), and with [`Finish::keep_input`] or
+/// [`Finish::estimate_normals`] a tree of the dense points and a few neighbours of each.
+#[must_use]
+pub fn finish(
+    source: &Cloud,
+    mut dense: Vec<Position>,
+    how: &Finish,
+    cancelled: &(dyn Fn() -> bool + Sync),
+) -> Option<(Vec<Position>, Vec<Attribute>)> {
+    let mut kept: Vec<u32> = Vec::new();
+    let mut originals: Vec<Position> = Vec::new();
+    if how.keep_input {
+        let finite = |p: &Position| p.iter().all(|c| c.is_finite());
+        kept =
+            (0..source.positions.len() as u32).filter(|&i| finite(&source.positions[i as usize])).collect();
+        originals = kept.iter().map(|&i| source.positions[i as usize]).collect();
+        dense = without_nearest(dense, &originals)?;
+    }
+    let mut attributes = carry(source, &dense, &how.rules, cancelled)?;
+    for attribute in &mut attributes {
+        // Rules keep names, so the source has each.
+        if let Some(own) = source.attributes.iter().find(|a| a.name == attribute.name) {
+            let mut values = own.values.gather(&kept);
+            values.append(&mut attribute.values);
+            attribute.values = values;
+        }
+    }
+    if how.source_fields {
+        let near = Near::find(&source.positions, &dense, cancelled)?;
+        attributes.retain(|a| a.name != "source_index" && a.name != "is_generated");
+        let mut index = kept.clone();
+        index.extend(&near.nearest);
+        attributes.push(Attribute { name: "source_index".into(), values: Values::U32(index) });
+        let mut generated = vec![0; kept.len()];
+        generated.resize(kept.len() + dense.len(), 1);
+        attributes.push(Attribute { name: "is_generated".into(), values: Values::U8(generated) });
+    }
+    let mut positions = originals;
+    positions.append(&mut dense);
+    if how.estimate_normals {
+        if cancelled() {
+            return None;
+        }
+        normals(&positions, kept.len(), &mut attributes, how.sensor.or(source.origin.sensor))?;
+    }
+    Some((positions, attributes))
+}
+
+/// Puts estimated normals in the place of those that are there, or beside the other attributes. The first
+/// `kept` rows stay where there are some.
+fn normals(
+    positions: &[Position],
+    kept: usize,
+    attributes: &mut Vec<Attribute>,
+    sensor: Option<Position>,
+) -> Option<()> {
+    let frame = Frame::fit(positions).ok()?;
+    let points: Vec<Point> = positions.iter().map(|p| frame.to_local(*p)).collect();
+    let mut normals = estimate_normals(&points, NORMAL_NEIGHBOURS);
+    drop(points);
+    let there = normal_of(attributes.iter().map(|a| (a.name.as_str(), a.values.kind())));
+    for (i, normal) in normals.iter_mut().enumerate() {
+        let side: [f64; 3] = match (there, sensor) {
+            (Some(axes), _) => axes.map(|a| attributes[a].values.get(i)),
+            (None, Some(sensor)) => std::array::from_fn(|a| sensor[a] - positions[i][a]),
+            (None, None) => continue,
+        };
+        if (0..3).map(|a| side[a] * f64::from(normal[a])).sum::<f64>() < 0.0 {
+            *normal = normal.map(|c| -c);
+        }
+    }
+    for (a, name) in ["nx", "ny", "nz"].into_iter().enumerate() {
+        let axis = normals.iter().map(|n| f64::from(n[a]));
+        match there {
+            Some(axes) => {
+                let values = &mut attributes[axes[a]].values;
+                let own: Vec<f64> = (0..kept).map(|i| values.get(i)).collect();
+                *values = Values::from_f64(values.kind(), own.into_iter().chain(axis.skip(kept)));
+            }
+            None => {
+                let values = Values::F32(axis.map(|c| c as f32).collect());
+                attributes.push(Attribute { name: name.into(), values });
+            }
+        }
+    }
+    Some(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use densecloud_geometry::Rng;
+
+    /// Points on the unit sphere about a far centre, with an id and, if wanted, normals that point inwards.
+    fn sphere(n: usize, seed: u64, inwards: bool) -> Cloud {
+        let mut random = Rng::new(seed);
+        let directions: Vec<Position> = (0..n)
+            .map(|_| {
+                let v: Position = std::array::from_fn(|_| random.normal());
+                v.map(|c| c / v.iter().map(|c| c * c).sum::<f64>().sqrt())
+            })
+            .collect();
+        let mut attributes = vec![Attribute {
+            name: "id".into(),
+            values: Values::U32((0..n as u32).map(|i| 7 * i).collect()),
+        }];
+        if inwards {
+            for (a, name) in ["nx", "ny", "nz"].into_iter().enumerate() {
+                let values = Values::F64(directions.iter().map(|d| -d[a]).collect());
+                attributes.push(Attribute { name: name.into(), values });
+            }
+        }
+        let positions = directions.iter().map(|d| [4e5 + d[0], 5e6 + d[1], 100.0 + d[2]]).collect();
+        Cloud { positions, attributes, ..Cloud::default() }
+    }
+
+    fn run(source: &Cloud, dense: &Cloud, how: &Finish) -> (Vec<Position>, Vec<Attribute>) {
+        finish(source, dense.positions.clone(), how, &|| false).expect("a result")
+    }
+
+    #[test]
+    fn the_input_is_kept_exactly() {
+        let mut source = sphere(300, 1, true);
+        source.positions[17] = [f64::NAN; 3];
+        let dense = sphere(1200, 2, false);
+        let how = Finish { keep_input: true, source_fields: true, ..Finish::default() };
+        let (positions, attributes) = run(&source, &dense, &how);
+        assert_eq!(positions.len(), 1200, "as many as asked for");
+        let rows: Vec<u32> = (0..300).filter(|i| *i != 17).collect();
+        for (i, &row) in rows.iter().enumerate() {
+            assert_eq!(positions[i], source.positions[row as usize]);
+            for (made, own) in attributes.iter().zip(&source.attributes) {
+                assert_eq!((&made.name, made.values.get(i)), (&own.name, own.values.get(row as usize)));
+            }
+        }
+        let names: Vec<&str> = attributes.iter().map(|a| a.name.as_str()).collect();
+        assert_eq!(names, ["id", "nx", "ny", "nz", "source_index", "is_generated"]);
+        for (i, p) in positions.iter().enumerate() {
+            assert_eq!(attributes[5].values.get(i), f64::from(i >= rows.len()));
+            let index = attributes[4].values.get(i) as usize;
+            let to = |q: Position| (0..3).map(|a| (p[a] - q[a]).powi(2)).sum::<f64>();
+            let nearest =
+                source.positions.iter().map(|q| to(*q)).filter(|d| !d.is_nan()).fold(f64::MAX, f64::min);
+            assert!(to(source.positions[index]) <= nearest + 1e-9, "point {i}");
+        }
+        // New ones are the cascade's own.
+        for p in &positions[rows.len()..] {
+            assert!(dense.positions.contains(p));
+        }
+    }
+
+    #[test]
+    fn estimated_normals_are_on_the_right_side() {
+        let dense = sphere(2000, 3, false);
+        let outwards = |positions: &[Position], attributes: &[Attribute], from: usize, i: usize| {
+            let p = positions[i];
+            let d = [p[0] - 4e5, p[1] - 5e6, p[2] - 100.0];
+            (0..3).map(|a| d[a] * attributes[from + a].values.get(i)).sum::<f64>()
+        };
+        let how = Finish { estimate_normals: true, ..Finish::default() };
+        let (positions, attributes) = run(&sphere(500, 4, true), &dense, &how);
+        let mean = (0..2000).map(|i| outwards(&positions, &attributes, 1, i)).sum::<f64>() / 2000.0;
+        assert!(mean < -0.98, "as the source's: {mean}");
+        // From outside, the near half points out and the far half in.
+        let how = Finish { sensor: Some([4e5 + 50.0, 5e6, 100.0]), ..how };
+        let (positions, attributes) = run(&sphere(500, 4, false), &dense, &how);
+        for i in 0..2000 {
+            let side = positions[i][0] - 4e5;
+            if side.abs() > 0.3 {
+                assert!(side * outwards(&positions, &attributes, 1, i) > 0.0, "{:?}", positions[i]);
+            }
+        }
+    }
+}

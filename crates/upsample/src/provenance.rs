@@ -1,0 +1,109 @@
+//! Where a result comes from, in one line that goes into its file.
+
+use std::fmt::Write;
+
+use crate::Request;
+use densecloud_backends::ModelName;
+use densecloud_cascade::Target;
+use densecloud_cloud::Origin;
+
+/// What begins a line of provenance among a file's comments.
+pub const MARK: &str = "densecloud: ";
+
+/// The line for a request's result: everything that decides its bytes, and nothing else, so that the same
+/// request gives the same file. `NAME=VALUE` with spaces between.
+#[must_use]
+pub fn line(model: &ModelName, request: &Request) -> String {
+    let Request { cloud, target, settings, finish } = request;
+    let mut line = format!(
+        "{MARK}version={} model={} model_sha256={}",
+        env!("CARGO_PKG_VERSION"),
+        // A card may hold any name; a line has no room for white space in it.
+        model.name.split_whitespace().collect::<Vec<_>>().join("_"),
+        model.sha256
+    );
+    let mut add = |name: &str, value: &dyn std::fmt::Display| {
+        // Writing into a string cannot fail.
+        let _ = write!(line, " {name}={value}");
+    };
+    if let Some(hash) = cloud.origin.sha256 {
+        add("input_sha256", &hexadecimal(&hash));
+    }
+    add("input_points", &cloud.positions.len());
+    match target {
+        Target::Ratio(ratio) => add("ratio", ratio),
+        Target::Points(points) => add("points", points),
+    }
+    add("seed", &settings.seed);
+    add("overlap", &settings.overlap);
+    add("inner", &settings.inner);
+    add("max_displacement", &settings.max_displacement);
+    add("max_distance", &settings.max_distance);
+    add("polish", &settings.polish);
+    if finish.keep_input {
+        add("keep_input", &true);
+    }
+    if finish.estimate_normals {
+        add("normals", &"estimate");
+    }
+    if let Some([x, y, z]) = finish.sensor {
+        add("sensor", &format!("{x},{y},{z}"));
+    }
+    let rules = finish.rules.to_string();
+    if !rules.is_empty() {
+        add("attributes", &rules.split_whitespace().collect::<Vec<_>>().join("_"));
+    }
+    line
+}
+
+/// The lines of provenance among a file's comments: one for each time that the cloud was upsampled.
+pub fn of(origin: &Origin) -> impl Iterator<Item = &str> {
+    origin.comments.iter().filter_map(|comment| comment.strip_prefix(MARK))
+}
+
+/// Bytes as digits.
+#[must_use]
+pub fn hexadecimal(bytes: &[u8]) -> String {
+    bytes.iter().fold(String::new(), |mut text, byte| {
+        let _ = write!(text, "{byte:02x}");
+        text
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::attributes::Finish;
+    use densecloud_cascade::Settings;
+    use densecloud_cloud::Cloud;
+
+    #[test]
+    fn a_line_tells_what_decides_the_result_and_is_found_again() {
+        let mut cloud = Cloud::from(vec![[0.0; 3]; 7]);
+        cloud.origin.sha256 = Some([0xAB; 32]);
+        let model = ModelName { name: "my model".into(), sha256: "12cd".into() };
+        let finish = Finish {
+            keep_input: true,
+            rules: "red:drop,a b:mean".parse().expect("rules"),
+            ..Finish::default()
+        };
+        let request = Request {
+            cloud,
+            target: Target::Ratio(7.3),
+            settings: Settings { seed: 5, ..Default::default() },
+            finish,
+        };
+        let made = line(&model, &request);
+        for part in [
+            "model=my_model model_sha256=12cd",
+            "input_sha256=abababab",
+            "input_points=7 ratio=7.3 seed=5",
+            "keep_input=true attributes=a_b:mean,red:drop",
+        ] {
+            assert!(made.contains(part), "{made}");
+        }
+        let comments = vec!["made by a scanner".to_owned(), made.clone()];
+        let origin = Origin { comments, ..Origin::default() };
+        assert_eq!(of(&origin).collect::<Vec<_>>(), [made.strip_prefix(MARK).expect("the mark")]);
+    }
+}

@@ -1,0 +1,19 @@
+//! What a caller wants done.
+
+use densecloud_cascade::{Settings, Target};
+use densecloud_cloud::Cloud;
+
+use crate::attributes::Finish;
+
+/// What a caller wants done.
+#[derive(Debug, Clone)]
+pub struct Request {
+    /// The cloud, in its own coordinates.
+    pub cloud: Cloud,
+    /// How many points are wanted.
+    pub target: Target,
+    /// How to run the cascade.
+    pub settings: Settings,
+    /// What is done with the cascade's points.
+    pub finish: Finish,
+}
