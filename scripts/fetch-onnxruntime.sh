@@ -1,6 +1,6 @@
 #!/bin/sh
 # Fetches ONNX Runtime's shared library into vendor/onnxruntime/, from its Python package and
-# checked against a pinned hash. Does nothing when it is there already.
+# checked against a pinned hash, and its licences beside it. Does nothing when it is there already.
 set -eu
 version=1.31.1
 root=$(cd "$(dirname "$0")/.." && pwd)
@@ -47,9 +47,13 @@ with zipfile.ZipFile(wheel) as archive:
     (name,) = [n for n in archive.namelist() if n.startswith("onnxruntime/capi/libonnxruntime.so.")]
     with open(work + "/libonnxruntime.so", "wb") as library:
         library.write(archive.read(name))
+    for name in ("LICENSE", "ThirdPartyNotices.txt"):
+        with open(work + "/" + name, "wb") as text:
+            text.write(archive.read("onnxruntime/" + name))
 PYTHON
 matches "$work/libonnxruntime.so" || { echo "ONNX Runtime $version: the hash does not match" >&2; exit 1; }
 mkdir -p "$(dirname "$target")"
+cp "$work/LICENSE" "$work/ThirdPartyNotices.txt" "$(dirname "$target")"
 # Renamed into place, so that a reader never sees half a file.
 cp "$work/libonnxruntime.so" "$target.$$"
 mv "$target.$$" "$target"
