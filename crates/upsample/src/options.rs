@@ -1,0 +1,582 @@
+//! What a person can ask of an upsampling: one value, and the table of its parameters that every door reads.
+//!
+//! A new option is two edits: its row in [`PARAMETERS`] (with the field that it sets), and the place where it takes
+//! effect. The command line, queries, forms, tensors, gRPC and jobs take it from the table.
+
+use std::fmt;
+
+use densecloud_cascade::{MAX_RATIO, Settings, Target};
+use densecloud_cloud::Position;
+use densecloud_formats::Format;
+use serde::de::Error as _;
+use serde::ser::SerializeMap;
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+use crate::attributes::{Finish, RulesError};
+use crate::survey::Goal;
+
+/// All that decides a result beside its input and the model.
+///
+/// As text it is a list of names and values ([`Options::parse`], [`Options::pairs`]); with serde, a map of the same
+/// names, to which `format` is added: the media type of [`Options::format`].
+///
+/// ```
+/// let options = densecloud::Options::parse(&[("ratio", "8"), ("keep_input", "true")])?;
+/// assert!(options.finish.keep_input);
+/// assert_eq!(options.pairs(), [("ratio", "8".to_owned()), ("keep_input", "true".to_owned())]);
+/// # Ok::<(), densecloud::OptionError>(())
+/// ```
+#[derive(Debug, Clone, PartialEq)]
+pub struct Options {
+    /// How dense the result shall be; four times the input where nobody says.
+    pub goal: Goal,
+    /// How the cascade is run.
+    pub cascade: Settings,
+    /// What is done with the cascade's points.
+    pub finish: Finish,
+    /// The format of the result; that of the input where there is none.
+    pub format: Option<Format>,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self {
+            goal: Goal::Target(Target::Ratio(4.0)),
+            cascade: Settings::default(),
+            finish: Finish::default(),
+            format: None,
+        }
+    }
+}
+
+/// A parameter that cannot be understood.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{name}: {why}")]
+pub struct OptionError {
+    /// Its name, as it was given.
+    pub name: String,
+    /// What is wrong with it, and what it may be.
+    pub why: String,
+}
+
+/// What a parameter is about.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Topic {
+    /// How dense the result shall be: a request has one of these.
+    Goal,
+    /// Which points the result has.
+    Points,
+    /// What is known of each point beside its position.
+    Attributes,
+    /// How the cascade is run.
+    Cascade,
+}
+
+/// One option: its name, its help, how it is read and told.
+#[derive(Clone, Copy)]
+pub struct Parameter {
+    /// `keep_input`, in a query, a form and a map; with hyphens, an option of the command line.
+    pub name: &'static str,
+    /// One letter for the command line.
+    pub short: Option<char>,
+    /// What its value is called in a help text; a switch has none.
+    pub value: Option<&'static str>,
+    /// What it does, a sentence.
+    pub help: &'static str,
+    /// What it is about.
+    pub topic: Topic,
+    read: fn(&mut Options, &str) -> Result<(), String>,
+    tell: fn(&Options) -> Option<Value>,
+}
+
+impl fmt::Debug for Parameter {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name)
+    }
+}
+
+/// A parameter's value.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(untagged)]
+pub enum Value {
+    /// On or off.
+    Switch(bool),
+    /// A whole number.
+    Whole(u64),
+    /// Any number.
+    Number(f64),
+    /// Anything else.
+    Text(String),
+}
+
+/// As [`Options::parse`] reads it.
+impl fmt::Display for Value {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Switch(on) => on.fmt(f),
+            Self::Whole(number) => number.fmt(f),
+            Self::Number(number) => number.fmt(f),
+            Self::Text(text) => text.fmt(f),
+        }
+    }
+}
+
+/// Every option, in the order of help texts.
+pub static PARAMETERS: [Parameter; 15] = [
+    Parameter {
+        name: "ratio",
+        short: Some('r'),
+        value: Some("R"),
+        help: "Points out for each point in, any number from 1 to 64",
+        topic: Topic::Goal,
+        read: |options, text| {
+            let ratio = parse_in(text, 1.0..=f64::from(MAX_RATIO))
+                .ok_or_else(|| format!("{text:?} is not a number from 1 to {MAX_RATIO}"))?;
+            options.goal = Goal::Target(Target::Ratio(ratio));
+            Ok(())
+        },
+        tell: |options| match options.goal {
+            Goal::Target(Target::Ratio(ratio)) => Some(Value::Number(ratio)),
+            _ => None,
+        },
+    },
+    Parameter {
+        name: "points",
+        short: Some('n'),
+        value: Some("N"),
+        help: "Points out, exactly: 1 to 64 times the points in",
+        topic: Topic::Goal,
+        read: |options, text| {
+            let points = text.parse().ok().filter(|points| *points > 0);
+            let points = points.ok_or_else(|| format!("{text:?} is not a positive whole number"))?;
+            options.goal = Goal::Target(Target::Points(points));
+            Ok(())
+        },
+        tell: |options| match options.goal {
+            Goal::Target(Target::Points(points)) => Some(Value::Whole(points)),
+            _ => None,
+        },
+    },
+    Parameter {
+        name: "spacing",
+        short: None,
+        value: Some("D"),
+        help: "Mean distance from a point to its nearest neighbour, in the cloud's units",
+        topic: Topic::Goal,
+        read: |options, text| Ok(options.goal = Goal::Spacing(positive(text)?)),
+        tell: |options| match options.goal {
+            Goal::Spacing(spacing) => Some(Value::Number(spacing)),
+            _ => None,
+        },
+    },
+    Parameter {
+        name: "density",
+        short: None,
+        value: Some("N"),
+        help: "Points a square unit of surface",
+        topic: Topic::Goal,
+        read: |options, text| Ok(options.goal = Goal::Density(positive(text)?)),
+        tell: |options| match options.goal {
+            Goal::Density(density) => Some(Value::Number(density)),
+            _ => None,
+        },
+    },
+    Parameter {
+        name: "keep_input",
+        short: None,
+        value: None,
+        help: "Keep the input's points exactly, before the new ones; each takes the place of one of these",
+        topic: Topic::Points,
+        read: |options, text| Ok(options.finish.keep_input = switch(text)?),
+        tell: |options| Some(Value::Switch(options.finish.keep_input)),
+    },
+    Parameter {
+        name: "source_fields",
+        short: None,
+        value: None,
+        help: "Add `source_index` (the row of the input's point that is nearest) and `is_generated` to each point",
+        topic: Topic::Attributes,
+        read: |options, text| Ok(options.finish.source_fields = switch(text)?),
+        tell: |options| Some(Value::Switch(options.finish.source_fields)),
+    },
+    Parameter {
+        name: "normals",
+        short: None,
+        value: Some("HOW"),
+        help: "`estimate`: normals from the dense cloud itself, on the side of the input's, or of the sensor",
+        topic: Topic::Attributes,
+        read: |options, text| {
+            if text != "estimate" {
+                return Err(format!("{text:?}; there is `estimate`"));
+            }
+            options.finish.estimate_normals = true;
+            Ok(())
+        },
+        tell: |options| options.finish.estimate_normals.then(|| Value::Text("estimate".into())),
+    },
+    Parameter {
+        name: "sensor",
+        short: None,
+        value: Some("X,Y,Z"),
+        help: "Where the sensor stood, for the side of estimated normals [default: as the file says]",
+        topic: Topic::Attributes,
+        read: |options, text| Ok(options.finish.sensor = Some(position(text)?)),
+        tell: |options| options.finish.sensor.map(|[x, y, z]| Value::Text(format!("{x},{y},{z}"))),
+    },
+    Parameter {
+        name: "seed",
+        short: None,
+        value: Some("SEED"),
+        help: "Chooses among equally good results; the same seed gives the same bytes",
+        topic: Topic::Points,
+        read: |options, text| {
+            let wrong = |_| format!("{text:?} is not a whole number from 0 to {}", u64::MAX);
+            Ok(options.cascade.seed = text.parse().map_err(wrong)?)
+        },
+        tell: |options| Some(Value::Whole(options.cascade.seed)),
+    },
+    Parameter {
+        name: "overlap",
+        short: None,
+        value: Some("X"),
+        help: "How many patches each point lies in, on average: more is slower",
+        topic: Topic::Cascade,
+        read: |options, text| Ok(options.cascade.overlap = within(text, MOST_OVERLAP)?),
+        tell: |options| Some(Value::Number(options.cascade.overlap)),
+    },
+    Parameter {
+        name: "inner",
+        short: None,
+        value: Some("X"),
+        help: "Share of each patch, around its centre, whose points are kept: 1 keeps all",
+        topic: Topic::Cascade,
+        read: |options, text| {
+            let inner = parse_in(text, 0.0..=1.0);
+            Ok(options.cascade.inner =
+                inner.ok_or_else(|| format!("{text:?} is not a number from 0 to 1"))?)
+        },
+        tell: |options| Some(Value::Number(options.cascade.inner)),
+    },
+    Parameter {
+        name: "max_displacement",
+        short: None,
+        value: Some("X"),
+        help: "Leave out points moved further than this many spacings from their source; `inf` keeps all",
+        topic: Topic::Cascade,
+        read: |options, text| Ok(options.cascade.max_displacement = limit(text)?),
+        tell: |options| Some(Value::Number(options.cascade.max_displacement)),
+    },
+    Parameter {
+        name: "max_distance",
+        short: None,
+        value: Some("X"),
+        help: "Leave out points further from the input than this many times what nine in ten keep to, and points \
+               beyond its open borders; `inf` keeps all",
+        topic: Topic::Cascade,
+        read: |options, text| Ok(options.cascade.max_distance = limit(text)?),
+        tell: |options| Some(Value::Number(options.cascade.max_distance)),
+    },
+    Parameter {
+        name: "no_polish",
+        short: None,
+        value: None,
+        help: "Keep what the network made as it is: less even, less smooth, and each point an output of the network",
+        topic: Topic::Cascade,
+        read: |options, text| Ok(options.cascade.polish = !switch(text)?),
+        tell: |options| Some(Value::Switch(!options.cascade.polish)),
+    },
+    Parameter {
+        name: "attributes",
+        short: None,
+        value: Some("NAME:RULE,..."),
+        help: "How new points come by their attributes, by name: mean (of the nearest), nearest or drop, such as \
+               `label:nearest,curvature:drop` [default: by name and type]",
+        topic: Topic::Attributes,
+        read: |options, text| {
+            options.finish.rules = text.parse().map_err(|why: RulesError| why.to_string())?;
+            Ok(())
+        },
+        tell: |options| {
+            Some(options.finish.rules.to_string()).filter(|rules| !rules.is_empty()).map(Value::Text)
+        },
+    },
+];
+
+/// The highest overlap: the cascade's own limit.
+const MOST_OVERLAP: f64 = 100.0;
+
+/// The key of [`Options::format`] in a map.
+const FORMAT: &str = "format";
+
+impl Parameter {
+    /// The parameter of this name.
+    #[must_use]
+    pub fn named(name: &str) -> Option<&'static Self> {
+        PARAMETERS.iter().find(|parameter| parameter.name == name)
+    }
+
+    /// Whether a value can be understood.
+    ///
+    /// # Errors
+    /// What is wrong with it, and what it may be.
+    pub fn check(&self, text: &str) -> Result<(), String> {
+        (self.read)(&mut Options::default(), text)
+    }
+
+    /// The value where nobody gives one; nothing where there is none then.
+    #[must_use]
+    pub fn default_value(&self) -> Option<Value> {
+        (self.tell)(&Options::default())
+    }
+}
+
+impl Options {
+    /// Reads names and values strictly: what is unknown or comes twice is an error, so that a misspelt name is not
+    /// silently ignored. Without a goal, it is the default's.
+    ///
+    /// # Errors
+    /// [`OptionError`] naming the parameter and what it may be.
+    pub fn parse(pairs: &[(impl AsRef<str>, impl AsRef<str>)]) -> Result<Self, OptionError> {
+        let mut options = Self::default();
+        let mut goal = None;
+        for (i, (name, value)) in pairs.iter().enumerate() {
+            let (name, value) = (name.as_ref(), value.as_ref());
+            let wrong = |why: String| OptionError { name: name.to_owned(), why };
+            if pairs[..i].iter().any(|(earlier, _)| earlier.as_ref() == name) {
+                return Err(wrong("given twice".into()));
+            }
+            let parameter = Parameter::named(name).ok_or_else(|| {
+                let names: Vec<&str> = PARAMETERS.iter().map(|parameter| parameter.name).collect();
+                wrong(format!("unknown; there are {}", names.join(", ")))
+            })?;
+            (parameter.read)(&mut options, value).map_err(wrong)?;
+            if parameter.topic == Topic::Goal && goal.replace(name).is_some() {
+                return Err(wrong("give one of ratio, points, spacing and density".into()));
+            }
+        }
+        Ok(options)
+    }
+
+    /// Whether one of these names is a goal's.
+    #[must_use]
+    pub fn names_goal<'a>(mut names: impl Iterator<Item = &'a str>) -> bool {
+        names.any(|name| Parameter::named(name).is_some_and(|parameter| parameter.topic == Topic::Goal))
+    }
+
+    /// What [`Options::parse`] reads as the same options, the format aside: the goal, and all that is not as by default.
+    #[must_use]
+    pub fn pairs(&self) -> Vec<(&'static str, String)> {
+        self.values().map(|(name, value)| (name, value.to_string())).collect()
+    }
+
+    fn values(&self) -> impl Iterator<Item = (&'static str, Value)> {
+        let default = Self::default();
+        PARAMETERS.iter().filter_map(move |parameter| {
+            let value = (parameter.tell)(self)?;
+            let told = parameter.topic == Topic::Goal || (parameter.tell)(&default).as_ref() != Some(&value);
+            told.then_some((parameter.name, value))
+        })
+    }
+
+    /// Points in the result for so many points in; unlike [`Target::points_out`], also for a claim that no cloud could
+    /// meet. For a spacing or a density, which only the points themselves decide, the least that it can be.
+    #[must_use]
+    pub fn points_out(&self, points_in: u64) -> u64 {
+        match self.goal {
+            // Saturates, so a claim of 2^64 points is just a number that is too large.
+            Goal::Target(Target::Ratio(ratio)) => (points_in as f64 * ratio).round() as u64,
+            Goal::Target(Target::Points(points)) => points,
+            Goal::Spacing(_) | Goal::Density(_) => points_in,
+        }
+    }
+}
+
+impl Serialize for Options {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let mut map = serializer.serialize_map(None)?;
+        for (name, value) in self.values() {
+            match value {
+                // JSON has no such number.
+                Value::Number(number) if !number.is_finite() => {
+                    map.serialize_entry(name, &number.to_string())?
+                }
+                value => map.serialize_entry(name, &value)?,
+            }
+        }
+        if let Some(format) = self.format {
+            map.serialize_entry(FORMAT, format.media_type())?;
+        }
+        map.end()
+    }
+}
+
+impl<'de> Deserialize<'de> for Options {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let mut map = Map::deserialize(deserializer)?.0;
+        let format = map.iter().position(|(name, _)| name == FORMAT).map(|at| map.remove(at).1);
+        let mut options = Self::parse(&map).map_err(D::Error::custom)?;
+        if let Some(media_type) = format {
+            let essence = media_type.split(';').next().unwrap_or_default().trim();
+            let found = Format::from_media_type(essence);
+            let wrong =
+                || D::Error::custom(format!("{FORMAT}: {media_type:?} is not the media type of a format"));
+            options.format = Some(found.ok_or_else(wrong)?);
+        }
+        Ok(options)
+    }
+}
+
+/// A map's entries in their order, also those that come twice.
+struct Map(Vec<(String, String)>);
+
+impl<'de> Deserialize<'de> for Map {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Entries;
+        impl<'de> serde::de::Visitor<'de> for Entries {
+            type Value = Map;
+
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("a map of options")
+            }
+
+            fn visit_map<A: serde::de::MapAccess<'de>>(self, mut map: A) -> Result<Map, A::Error> {
+                let mut entries = Vec::new();
+                while let Some((name, value)) = map.next_entry::<String, Value>()? {
+                    entries.push((name, value.to_string()));
+                }
+                Ok(Map(entries))
+            }
+        }
+        deserializer.deserialize_map(Entries)
+    }
+}
+
+fn parse_in(text: &str, range: std::ops::RangeInclusive<f64>) -> Option<f64> {
+    text.parse().ok().filter(|number| range.contains(number))
+}
+
+fn positive(text: &str) -> Result<f64, String> {
+    let number = text.parse().ok().filter(|number| f64::is_finite(*number) && *number > 0.0);
+    number.ok_or_else(|| format!("{text:?} is not a positive number"))
+}
+
+fn within(text: &str, most: f64) -> Result<f64, String> {
+    parse_in(text, 1.0..=most).ok_or_else(|| format!("{text:?} is not a number from 1 to {most}"))
+}
+
+fn limit(text: &str) -> Result<f64, String> {
+    let number = text.parse().ok().filter(|number: &f64| *number > 0.0);
+    number.ok_or_else(|| format!("{text:?} is not a number above 0, nor `inf`"))
+}
+
+fn switch(text: &str) -> Result<bool, String> {
+    match text {
+        "true" | "1" | "" => Ok(true),
+        "false" | "0" => Ok(false),
+        _ => Err(format!("{text:?} is neither true nor false")),
+    }
+}
+
+fn position(text: &str) -> Result<Position, String> {
+    let numbers: Option<Vec<f64>> =
+        text.split(',').map(|n| n.trim().parse().ok().filter(|n: &f64| n.is_finite())).collect();
+    let position = numbers.and_then(|numbers| numbers.try_into().ok());
+    position.ok_or_else(|| format!("{text:?} is not three numbers X,Y,Z"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn parse(query: &str) -> Result<Options, OptionError> {
+        let pairs: Vec<(&str, &str)> = query
+            .split('&')
+            .filter(|p| !p.is_empty())
+            .map(|p| p.split_once('=').unwrap_or((p, "")))
+            .collect();
+        Options::parse(&pairs)
+    }
+
+    #[test]
+    fn what_is_told_is_read_as_the_same() {
+        for query in [
+            "",
+            "ratio=2.5",
+            "points=1000&seed=18446744073709551615",
+            "spacing=0.1&keep_input&source_fields=true&normals=estimate&sensor=1,-2,0.5",
+            "density=7&overlap=3&inner=1&max_displacement=inf&max_distance=2.5&no_polish=1",
+            "ratio=1&attributes=a b:drop,c:mean",
+        ] {
+            let options = parse(query).unwrap_or_else(|why| panic!("{query}: {why}"));
+            assert_eq!(Options::parse(&options.pairs()), Ok(options.clone()), "{query}");
+            for format in [None, Some(Format::TEXT), Format::from_media_type("application/vnd.laszip")] {
+                let options = Options { format, ..options.clone() };
+                let json = serde_json::to_string(&options).expect("JSON");
+                assert_eq!(serde_json::from_str::<Options>(&json).expect(&json), options);
+            }
+        }
+        assert_eq!(parse(""), Ok(Options::default()));
+        assert_eq!(parse("no_polish=false&seed=0&overlap=2"), Ok(Options::default()));
+    }
+
+    #[test]
+    fn json_takes_numbers_switches_and_text() {
+        let json = r#"{"points": 9, "keep_input": true, "seed": "7", "inner": 1, "format": "text/csv; charset=utf-8"}"#;
+        let options: Options = serde_json::from_str(json).expect("options");
+        assert_eq!(options.pairs().len(), 4);
+        assert_eq!(options.format, Format::from_media_type("text/csv"));
+        for (json, part) in [
+            (r#"{"ratio": 0.5}"#, "ratio: \"0.5\" is not a number from 1 to 64"),
+            (r#"{"ratio": 2, "ratio": 3}"#, "given twice"),
+            (r#"{"ratoi": 2}"#, "unknown"),
+            (r#"{"format": "text/html"}"#, "text/html"),
+        ] {
+            let why = serde_json::from_str::<Options>(json).expect_err(json).to_string();
+            assert!(why.contains(part), "{why}");
+        }
+    }
+
+    #[test]
+    fn what_is_wrong_is_named() {
+        for (query, name) in [
+            ("ratio=", "ratio"),
+            ("ratio=64.1", "ratio"),
+            ("ratio=nan", "ratio"),
+            ("ratio=4&ratio=4", "ratio"),
+            ("points=0", "points"),
+            ("points=1e3", "points"),
+            ("ratio=4&points=8", "points"),
+            ("seed=-1", "seed"),
+            ("ration=4", "ration"),
+            ("Ratio=4", "Ratio"),
+            ("attributes=red", "attributes"),
+            ("attributes=red:drop,red:mean", "attributes"),
+            ("spacing=0", "spacing"),
+            ("density=inf", "density"),
+            ("keep_input=maybe", "keep_input"),
+            ("normals=yes", "normals"),
+            ("sensor=1,2", "sensor"),
+            ("sensor=1,2,nan", "sensor"),
+            ("overlap=0.5", "overlap"),
+            ("overlap=101", "overlap"),
+            ("inner=1.1", "inner"),
+            ("max_distance=0", "max_distance"),
+            ("max_displacement=nan", "max_displacement"),
+            ("no_polish=no", "no_polish"),
+        ] {
+            assert_eq!(parse(query).expect_err(query).name, name, "{query}");
+        }
+    }
+
+    #[test]
+    fn points_out_are_the_cascades_own_and_saturate() {
+        let out = |query: &str, points| parse(query).expect("options").points_out(points);
+        for points_in in 1..200 {
+            let expected = Target::Ratio(1.37).points_out(points_in).expect("a size");
+            assert_eq!(out("ratio=1.37", points_in), expected);
+        }
+        assert_eq!(out("ratio=64", u64::MAX), u64::MAX);
+        assert_eq!(out("points=9", 3), 9);
+        assert_eq!(out("spacing=0.5", 3), 3);
+    }
+}

@@ -1,0 +1,170 @@
+//! From a cloud and options to all that is known before the work: the same behind every door.
+
+use densecloud_backends::ModelName;
+use densecloud_cloud::{Attribute, Cloud, Origin, Table};
+use densecloud_formats::Format;
+
+use crate::options::Options;
+use crate::provenance;
+use crate::request::Request;
+use crate::survey::{self, GoalError, Survey};
+
+/// A request that can be worked on, and what its result will be.
+#[derive(Debug, Clone)]
+pub struct Prepared {
+    /// What is to be computed.
+    pub request: Request,
+    /// What is told of the result.
+    pub report: Report,
+}
+
+/// What is told of a result beside its points.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Report {
+    /// The result's format: the one asked for or the input's, in 64 bits where 32 would be too coarse.
+    pub format: Format,
+    /// What the result's file tells of the whole, provenance among it.
+    pub origin: Origin,
+    /// Which program, model, settings and input make the result; see [`provenance::line`].
+    pub provenance: String,
+    /// Points in the input, those that are not finite included.
+    pub points_in: u64,
+    /// Points in the result; before the work, as the options ask for them.
+    pub points_out: u64,
+    /// What a person should know about how the cloud was read and made dense, a sentence each.
+    pub warnings: Vec<String>,
+}
+
+/// Why a cloud cannot be worked on with these options.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum PrepareError {
+    /// There is no number of points for the goal.
+    #[error(transparent)]
+    Goal(#[from] GoalError),
+    /// A rule names an attribute that the cloud does not have.
+    #[error(
+        "no attribute {name:?}; the input has {}", if known.is_empty() { "none".to_owned() } else { known.join(", ") }
+    )]
+    UnknownAttribute {
+        /// The name in the rule.
+        name: String,
+        /// The names that there are.
+        known: Vec<String>,
+    },
+}
+
+impl Prepared {
+    /// Checks the options against the cloud, and works out everything that does not need the cascade. `input` is the
+    /// format that the cloud came in, `model` the one that will be used.
+    ///
+    /// Cost: a survey of a few thousand points, O(n log n); a larger one for a spacing or a density.
+    ///
+    /// # Errors
+    /// [`PrepareError`]. Targets that are impossible for this cloud are found by the cascade.
+    pub fn new(
+        cloud: Cloud,
+        input: Format,
+        options: Options,
+        model: &ModelName,
+    ) -> Result<Self, PrepareError> {
+        let Options { goal, cascade: settings, finish, format: wanted } = options;
+        let names: Vec<&str> = cloud.attributes.iter().map(|a| a.name.as_str()).collect();
+        if let Some(name) = finish.rules.unknown(&names).next() {
+            let known = names.iter().map(|&name| name.to_owned()).collect();
+            return Err(PrepareError::UnknownAttribute { name: name.to_owned(), known });
+        }
+        let points_in = cloud.positions.len() as u64;
+        let target = goal.target(&cloud.positions)?;
+        let mut warnings = cloud.warnings();
+        let mut format = Format::of_result(wanted, input, !cloud.attributes.is_empty());
+        let mut points_out = 0;
+        if let Ok(survey) = Survey::of(&cloud.positions, survey::GLANCE) {
+            warnings.extend(survey.warnings());
+            // Where it is impossible, the cascade says so.
+            points_out = target.points_out(survey.finite as u64).unwrap_or_default();
+            format = format.fine_enough(survey.bounds, survey.result_spacing(points_out));
+        }
+        let (mut origin, lost) = finish.origin(&cloud);
+        warnings.extend(lost);
+        let request = Request { cloud, target, settings, finish };
+        let provenance = provenance::line(model, &request);
+        origin.comments.push(provenance.clone());
+        let report = Report { format, origin, provenance, points_in, points_out, warnings };
+        Ok(Self { request, report })
+    }
+
+    /// Bytes that each point of the result takes beside its position.
+    #[must_use]
+    pub fn attribute_bytes(&self) -> u64 {
+        self.request.finish.bytes_a_point(&self.request.cloud.attributes)
+    }
+
+    /// Bytes of what the result takes over beside its points: tables such as faces.
+    #[must_use]
+    pub fn table_bytes(&self) -> u64 {
+        self.report.origin.tables.iter().map(Table::bytes).sum()
+    }
+}
+
+impl Report {
+    /// Adds what is known once the result is there: how many points it has, what was done to the input, and what its
+    /// format has no place for.
+    pub fn complete(&mut self, points_out: usize, attributes: &[Attribute], about_input: Vec<String>) {
+        self.points_out = points_out as u64;
+        self.warnings.extend(about_input);
+        let lost = self.format.cannot_hold(attributes, &self.origin);
+        if !lost.is_empty() {
+            self.warnings.push(format!("the result's format has no place for {}", lost.join(", ")));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use densecloud_cloud::Values;
+    use densecloud_formats::{PlyEncoding, Scalar};
+
+    fn prepare(cloud: Cloud, options: &[(&str, &str)]) -> Result<Prepared, PrepareError> {
+        let input = Format::Ply { encoding: PlyEncoding::Ascii, scalar: Scalar::F32 };
+        let options = Options::parse(options).expect("options");
+        Prepared::new(cloud, input, options, &ModelName::default())
+    }
+
+    fn grid(offset: f64) -> Vec<[f64; 3]> {
+        (0..100).map(|i| [offset + f64::from(i % 10), f64::from(i / 10), 0.0]).collect()
+    }
+
+    #[test]
+    fn points_that_are_not_finite_count_for_nothing() {
+        let clean = prepare(Cloud::from(grid(0.0)), &[("ratio", "4")]).expect("a request");
+        let mut positions = grid(0.0);
+        positions.extend([[f64::NAN; 3]; 100]);
+        let spoilt = prepare(Cloud::from(positions), &[("ratio", "4")]).expect("a request");
+        assert_eq!((clean.report.points_out, spoilt.report.points_out), (400, 400));
+        assert_eq!(clean.report.format, spoilt.report.format);
+        assert_eq!(spoilt.report.points_in, 200);
+    }
+
+    #[test]
+    fn a_format_too_coarse_for_the_result_becomes_finer() {
+        for (offset, scalar) in [(0.0, Scalar::F32), (1e7, Scalar::F64)] {
+            let prepared = prepare(Cloud::from(grid(offset)), &[]).expect("a request");
+            let ply = Format::Ply { encoding: PlyEncoding::Ascii, scalar };
+            assert_eq!(prepared.report.format, ply, "{offset}");
+        }
+    }
+
+    #[test]
+    fn rules_for_what_is_not_there_are_refused() {
+        let values = Values::U8(vec![0; 100]);
+        let attributes = vec![Attribute { name: "red".into(), values }];
+        let cloud = Cloud { attributes, ..Cloud::from(grid(0.0)) };
+        assert!(prepare(cloud.clone(), &[("attributes", "red:drop")]).is_ok());
+        let why = prepare(cloud, &[("attributes", "blue:drop")]).expect_err("no blue").to_string();
+        assert_eq!(why, "no attribute \"blue\"; the input has red");
+        let why = prepare(Cloud::from(grid(0.0)), &[("attributes", "blue:drop")]).expect_err("no blue");
+        assert!(why.to_string().ends_with("the input has none"), "{why}");
+    }
+}
