@@ -5,6 +5,7 @@ mod faults;
 mod hostile;
 mod kills;
 mod remote;
+mod results;
 mod settings;
 mod signals;
 mod support;
