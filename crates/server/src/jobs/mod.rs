@@ -40,20 +40,6 @@ impl App {
     }
 }
 
-impl From<StoreError> for Problem {
-    fn from(error: StoreError) -> Self {
-        match error {
-            StoreError::OverBudget { used, wanted, limit } => Self::JobDisk { used, wanted, limit },
-            StoreError::OtherRequest => Self::KeyReused,
-            StoreError::Full { queued, limit } => Self::JobsFull { queued, limit, retry_after: SOON },
-            StoreError::ClientFull { queued, limit } => Self::ClientJobs { queued, limit, retry_after: SOON },
-            error if error.is_full() => Self::DiskFull(error.to_string()),
-            error if error.is_busy() => Self::JobsBusy("another program has locked the jobs' database"),
-            error => Self::Internal(error.to_string()),
-        }
-    }
-}
-
 /// Questions to the store at a time: should the database be locked, those that wait for it must leave threads for
 /// the requests that need none of it.
 pub(crate) const ASKING: usize = 4;

@@ -161,9 +161,10 @@ async fn what_failed_inside_stays_inside() {
 
 #[test]
 fn inner_errors_find_their_place_in_the_table() {
-    use densecloud_cascade::BackendError;
+    use densecloud_cascade::{BackendError, CascadeError};
     use densecloud_cloud::FrameError;
-    use densecloud_formats::Place;
+    use densecloud_engine::EngineError;
+    use densecloud_formats::{FormatError, Place};
     let name = |problem: Problem| problem.row().name;
     for (error, expected) in [
         (FormatError::Unrecognised { found: "a ZIP file".into() }, "unsupported-format"),

@@ -1,0 +1,81 @@
+//! Which problem an error of an inner layer is.
+
+use densecloud::survey::GoalError;
+use densecloud_cascade::CascadeError;
+use densecloud_engine::EngineError;
+use densecloud_formats::FormatError;
+use densecloud_jobs::StoreError;
+
+use super::{Problem, SOON};
+
+impl From<FormatError> for Problem {
+    fn from(error: FormatError) -> Self {
+        match error {
+            FormatError::Unrecognised { .. } => Self::UnsupportedFormat(error.to_string()),
+            FormatError::Malformed { .. } | FormatError::Truncated { .. } => {
+                Self::Malformed(error.to_string())
+            }
+            FormatError::TooManyPoints { points, limit } => Self::TooManyPointsIn { points, limit },
+            FormatError::TooLarge { limit, .. } => Self::BodyTooLarge { limit },
+            FormatError::Empty(_) => Self::Impossible(error.to_string()),
+            // What only writers and mesh readers give, or what memory as a source cannot.
+            _ => Self::Internal(error.to_string()),
+        }
+    }
+}
+
+impl From<CascadeError> for Problem {
+    fn from(error: CascadeError) -> Self {
+        match error {
+            CascadeError::Ratio(_) => Self::parameter("ratio", error.to_string()),
+            CascadeError::Points { .. }
+            | CascadeError::TooFewPoints { .. }
+            | CascadeError::TooManyDuplicates { .. }
+            | CascadeError::Frame(_) => Self::Impossible(error.to_string()),
+            CascadeError::OutOfMemory(bytes) => Self::OutOfMemory(bytes),
+            // Nobody but a stopping engine cancels a request that is still waited for.
+            CascadeError::Cancelled => Self::Draining,
+            // A backend that failed, or settings that the server sets itself.
+            _ => Self::Internal(error.to_string()),
+        }
+    }
+}
+
+impl From<StoreError> for Problem {
+    fn from(error: StoreError) -> Self {
+        match error {
+            StoreError::OverBudget { used, wanted, limit } => Self::JobDisk { used, wanted, limit },
+            StoreError::OtherRequest => Self::KeyReused,
+            StoreError::Full { queued, limit } => Self::JobsFull { queued, limit, retry_after: SOON },
+            StoreError::ClientFull { queued, limit } => Self::ClientJobs { queued, limit, retry_after: SOON },
+            error if error.is_full() => Self::DiskFull(error.to_string()),
+            error if error.is_busy() => Self::JobsBusy("another program has locked the jobs' database"),
+            error => Self::Internal(error.to_string()),
+        }
+    }
+}
+
+impl Problem {
+    /// A wish for spacing or density that cannot be met by this cloud.
+    pub(crate) fn from_goal(error: GoalError) -> Self {
+        Self::Impossible(error.to_string())
+    }
+
+    /// What the engine's refusal or failure is to a client.
+    pub(crate) fn from_engine(error: EngineError) -> Self {
+        match error {
+            EngineError::Refused(refusal) => Self::Refused(refusal),
+            EngineError::Deadline { waited, worked } => Self::Deadline {
+                limit: waited + worked,
+                spent: format!(
+                    "{:.1} s in the queue, {:.1} s at work",
+                    waited.as_secs_f64(),
+                    worked.as_secs_f64()
+                ),
+            },
+            EngineError::Cancelled => Self::Draining,
+            EngineError::Cascade(error) => error.into(),
+            EngineError::Internal(why) => Self::Internal(why),
+        }
+    }
+}
