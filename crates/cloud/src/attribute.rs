@@ -201,6 +201,19 @@ impl Values {
         extend!(I8 i8, U8 u8, I16 i16, U16 u16, I32 i32, U32 u32, I64 i64, U64 u64, F32 f32, F64 f64);
     }
 
+    /// Appends the numbers of another column of the same type; of another type, nothing.
+    pub fn extend_from(&mut self, other: &Self) {
+        macro_rules! extend {
+            ($($kind:ident),*) => {
+                match (self, other) {
+                    $((Self::$kind(column), Self::$kind(more)) => column.extend_from_slice(more),)*
+                    _ => {}
+                }
+            };
+        }
+        extend!(I8, U8, I16, U16, I32, U32, I64, U64, F32, F64);
+    }
+
     /// Doubles as numbers of `kind`: integers are rounded to the nearest and kept within their range;
     /// a NaN becomes 0 there.
     #[must_use]

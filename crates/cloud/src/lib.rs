@@ -2,12 +2,14 @@
 //! which all geometry is computed.
 
 mod attribute;
+mod extra;
 mod frame;
 mod origin;
 
 pub use attribute::{Attribute, Kind, Values, bytes_a_point};
+pub use extra::{Extra, FormatExtra};
 pub use frame::{Frame, FrameError};
-pub use origin::{Column, Crs, LasExtra, LasOrigin, LasRecord, Origin, Table};
+pub use origin::{Column, Crs, Origin, Table};
 
 /// A position in the local [`Frame`]: `f32`, within about [-1, 1] on each axis.
 pub type Point = [f32; 3];

@@ -4,7 +4,7 @@ use std::fmt;
 use std::str::FromStr;
 use std::sync::Arc;
 
-use super::Values;
+use super::{Extra, Values};
 
 /// What a file tells beside its points, to be written again where the result's format has a place
 /// for it. Cheap to clone.
@@ -22,8 +22,8 @@ pub struct Origin {
     pub sha256: Option<[u8; 32]>,
     /// PLY's elements other than `vertex`, in the file's order.
     pub tables: Arc<Vec<Table>>,
-    /// What only LAS has a place for.
-    pub las: Option<Arc<LasOrigin>>,
+    /// What only the file's own format has a place for.
+    pub extra: Option<Extra>,
 }
 
 impl Origin {
@@ -164,72 +164,6 @@ pub enum Column {
         /// The items of all rows.
         items: Values,
     },
-}
-
-/// What a LAS file has in its header and its records, beside the points.
-#[derive(Debug, Clone, Default, PartialEq)]
-pub struct LasOrigin {
-    /// The version, such as (1, 4).
-    pub version: (u8, u8),
-    /// The number of the point format, 0 to 10.
-    pub point_format: u8,
-    /// The steps that coordinates are stored in, an axis each.
-    pub scale: [f64; 3],
-    /// The coordinates that step 0 stands for, an axis each.
-    pub offset: [f64; 3],
-    /// The file source id: a flight line.
-    pub file_source_id: u16,
-    /// The bits of the global encoding, the kind of GPS time among them.
-    pub global_encoding: u16,
-    /// The project's id.
-    pub guid: [u8; 16],
-    /// What made the points.
-    pub system_identifier: [u8; 32],
-    /// The day of the year, and the year, of the file's creation.
-    pub created: (u16, u16),
-    /// The variable length records that are true of any points of the same place: not those of the
-    /// compression, an index, waveforms and extra bytes.
-    pub records: Vec<LasRecord>,
-    /// How the extra bytes are described.
-    pub extra: Vec<LasExtra>,
-    /// Whether the file has an index of its points (COPC, LAX).
-    pub is_indexed: bool,
-}
-
-/// A variable length record of a LAS file.
-#[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct LasRecord {
-    /// Who defines it.
-    pub user_id: String,
-    /// Which of theirs it is.
-    pub id: u16,
-    /// For people.
-    pub description: String,
-    /// The content.
-    pub data: Vec<u8>,
-    /// Whether it stands after the points, where there is room for more than 64 KiB.
-    pub is_extended: bool,
-}
-
-impl LasRecord {
-    /// Whether it tells the coordinate system; copies that libLAS makes count, too.
-    #[must_use]
-    pub fn is_crs(&self) -> bool {
-        match self.user_id.to_ascii_lowercase().as_str() {
-            "lasf_projection" => matches!(self.id, 2111 | 2112 | 34_735..=34_737),
-            "liblas" => self.id == 2112,
-            _ => false,
-        }
-    }
-}
-
-/// What the record of extra bytes says of an attribute.
-#[derive(Debug, Clone, PartialEq)]
-pub struct LasExtra {
-    /// The attribute's name in the cloud.
-    pub name: String,
-    /// Its entry in the record: 192 bytes with type, name, scale, offset and description.
-    pub entry: Vec<u8>,
 }
 
 #[cfg(test)]

@@ -93,6 +93,16 @@ impl fmt::Display for Place {
 }
 
 impl FormatError {
+    /// A file of this format cannot be begun before all of its points are known.
+    pub(super) fn not_streamed(format: impl fmt::Display) -> Self {
+        Self::NotWritten(format!("{format} is made as a whole, not in parts"))
+    }
+
+    /// Files of this format are read and not written.
+    pub(super) fn read_only(format: impl fmt::Display) -> Self {
+        Self::NotWritten(format!("{format} is read only"))
+    }
+
     pub(super) fn malformed(at: Place, why: impl Into<String>) -> Self {
         Self::Malformed { at, why: why.into() }
     }

@@ -3,89 +3,9 @@
 use std::fmt;
 use std::path::Path;
 
-use super::writer::ply_header;
-use super::{e57, npy, pcd};
-use densecloud_cloud::{Attribute, Origin, Position, Table, bytes_a_point};
-
-/// A file format and the choices within it. A reader reports it and a writer takes it, so that a
-/// cloud goes back in the form it came in.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Format {
-    /// Stanford PLY.
-    Ply {
-        /// How numbers are stored.
-        encoding: PlyEncoding,
-        /// The type of the coordinates.
-        scalar: Scalar,
-    },
-    /// Text, a point a line: `.xyz`, `.txt`, `.asc`, `.pts`, `.pwn`, `.csv`. Written with the
-    /// position first.
-    Xyz {
-        /// Whether a first line names the columns.
-        names: bool,
-        /// What stands between two numbers.
-        separator: Separator,
-    },
-    /// LAS, and LAZ, which is LAS compressed; COPC is read as the LAZ that it is.
-    Las {
-        /// LAZ.
-        compressed: bool,
-    },
-    /// The Point Cloud Library's PCD.
-    Pcd {
-        /// How numbers are stored.
-        encoding: PcdEncoding,
-        /// The type of the coordinates; PCL's own points have 32-bit floats.
-        scalar: Scalar,
-    },
-    /// OFF, read only: the vertices of a mesh.
-    Off,
-    /// Wavefront OBJ, read only: the vertices of a mesh.
-    Obj,
-    /// ASTM E57, written with 64-bit floats for coordinates.
-    E57,
-    /// NumPy's `.npy`, written little-endian, a point a row.
-    Npy {
-        /// The type of the coordinates.
-        scalar: Scalar,
-        /// Whether attributes are fields with names and types of their own; without, they are further
-        /// columns of the table that the coordinates are in, of the same type.
-        fields: bool,
-    },
-}
-
-/// How a PCD file stores numbers.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum PcdEncoding {
-    /// `DATA ascii`
-    Ascii,
-    /// `DATA binary`
-    Binary,
-    /// `DATA binary_compressed`
-    Compressed,
-}
-
-/// How a PLY file stores numbers.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum PlyEncoding {
-    /// `format ascii 1.0`
-    Ascii,
-    /// `format binary_little_endian 1.0`
-    BinaryLittleEndian,
-    /// `format binary_big_endian 1.0`
-    BinaryBigEndian,
-}
-
-/// What stands between two columns of text.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Separator {
-    /// A space; read, any white space.
-    Space,
-    /// A comma.
-    Comma,
-    /// A semicolon.
-    Semicolon,
-}
+use super::registry::{self, Format};
+use super::xyz::Separator;
+use densecloud_cloud::{Attribute, Origin, Position};
 
 /// The type of written coordinates.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -127,20 +47,7 @@ impl Format {
     /// Case is ignored.
     #[must_use]
     pub fn from_extension(path: &Path) -> Option<Self> {
-        let extension = path.extension()?.to_str()?.to_ascii_lowercase();
-        match extension.as_str() {
-            "ply" => Some(Self::Ply { encoding: PlyEncoding::BinaryLittleEndian, scalar: Scalar::F32 }),
-            "xyz" | "txt" | "asc" | "pts" | "pwn" => Some(Self::TEXT),
-            "csv" => Some(Self::Xyz { names: false, separator: Separator::Comma }),
-            "las" => Some(Self::Las { compressed: false }),
-            "laz" => Some(Self::Las { compressed: true }),
-            "npy" => Some(Self::Npy { scalar: Scalar::F64, fields: true }),
-            "e57" => Some(Self::E57),
-            "off" => Some(Self::Off),
-            "obj" => Some(Self::Obj),
-            "pcd" => Some(Self::Pcd { encoding: PcdEncoding::Binary, scalar: Scalar::F32 }),
-            _ => None,
-        }
+        registry::from_extension(&path.extension()?.to_str()?.to_ascii_lowercase())
     }
 
     /// Text without names, with spaces.
@@ -152,24 +59,22 @@ impl Format {
         std::mem::discriminant(&self) == std::mem::discriminant(&other)
     }
 
+    /// Whether clouds are written in it, and not only read.
+    #[must_use]
+    pub fn is_written(self) -> bool {
+        self.written() == self
+    }
+
     /// The format that a cloud of this one is written in where nobody says which: itself, or, for what
     /// is read only, binary PLY in 64-bit floats, which holds all that was read.
     #[must_use]
     pub fn written(self) -> Self {
-        match self {
-            Self::Off | Self::Obj => {
-                Self::Ply { encoding: PlyEncoding::BinaryLittleEndian, scalar: Scalar::F64 }
-            }
-            other => other,
-        }
+        self.ask(|format| format.written()).unwrap_or(self)
     }
 
     /// The type that holds all that coordinates of this format can tell.
-    fn scalar(self) -> Scalar {
-        match self {
-            Self::Ply { scalar, .. } | Self::Pcd { scalar, .. } | Self::Npy { scalar, .. } => scalar,
-            Self::Xyz { .. } | Self::Las { .. } | Self::E57 | Self::Off | Self::Obj => Scalar::F64,
-        }
+    pub(crate) fn scalar(self) -> Scalar {
+        self.ask(|format| format.scalar())
     }
 
     /// The format of a result: the kind that is `wanted` (by an extension, say), with the encoding of the
@@ -179,21 +84,7 @@ impl Format {
     /// those of its attributes would be lost.
     #[must_use]
     pub fn of_result(wanted: Option<Self>, input: Self, names: bool) -> Self {
-        match (wanted, input) {
-            (None, _) => input.written(),
-            (Some(Self::Xyz { separator, .. }), Self::Xyz { names, separator: own }) => {
-                // `.xyz` says nothing of commas; `.csv` does.
-                Self::Xyz { names, separator: if separator == Separator::Space { own } else { separator } }
-            }
-            (Some(Self::Xyz { separator, .. }), _) => Self::Xyz { names, separator },
-            (Some(wanted @ (Self::Las { .. } | Self::E57)), _) => wanted,
-            (Some(Self::Off | Self::Obj), _) => input.written(),
-            (Some(wanted), input) if wanted.is_like(input) => input,
-            (Some(Self::Ply { encoding, .. }), _) => Self::Ply { encoding, scalar: input.scalar() },
-            (Some(Self::Npy { fields, .. }), _) => Self::Npy { scalar: input.scalar(), fields },
-            // Much that reads PCD knows no others; see `fine_enough`.
-            (Some(Self::Pcd { encoding, .. }), _) => Self::Pcd { encoding, scalar: Scalar::F32 },
-        }
+        wanted.map_or_else(|| input.written(), |wanted| wanted.ask(|format| format.of_result(input, names)))
     }
 
     /// This format with 64-bit coordinates where 32-bit ones would move points of `bounds` by more than a
@@ -202,126 +93,60 @@ impl Format {
     pub fn fine_enough(self, bounds: [Position; 2], spacing: f64) -> Self {
         let largest = bounds.as_flattened().iter().fold(0.0_f64, |most, c| most.max(c.abs()));
         // Rounding moves a coordinate by half of the step between two floats at most.
-        let coarse = 0.5 * largest * f64::from(f32::EPSILON) > 0.01 * spacing;
-        match self {
-            Self::Ply { encoding, scalar: Scalar::F32 } if coarse => {
-                Self::Ply { encoding, scalar: Scalar::F64 }
-            }
-            Self::Pcd { encoding, scalar: Scalar::F32 } if coarse => {
-                Self::Pcd { encoding, scalar: Scalar::F64 }
-            }
-            Self::Npy { scalar: Scalar::F32, fields } if coarse => Self::Npy { scalar: Scalar::F64, fields },
-            other => other,
-        }
+        let is_coarse = 0.5 * largest * f64::from(f32::EPSILON) > 0.01 * spacing;
+        let finer = if is_coarse { self.ask(|format| format.finer()) } else { None };
+        finer.unwrap_or(self)
     }
 
     /// Whether it has a place for comments, and so for provenance.
     #[must_use]
     pub fn holds_comments(self) -> bool {
-        match self {
-            Self::Ply { .. } | Self::Las { .. } | Self::Pcd { .. } | Self::E57 => true,
-            Self::Xyz { .. } | Self::Npy { .. } | Self::Off | Self::Obj => false,
-        }
+        self.ask(|format| format.holds_comments())
     }
 
     /// Whether files are compressed in themselves, so that compressing them once more is in vain.
     #[must_use]
     pub fn is_packed(self) -> bool {
-        matches!(
-            self,
-            Self::Las { compressed: true } | Self::E57 | Self::Pcd { encoding: PcdEncoding::Compressed, .. }
-        )
+        self.ask(|format| format.is_packed())
     }
 
     /// Whether [`CloudWriter`](super::CloudWriter) writes it in parts; if not, only
-    /// [`encode`](super::encode) writes it, as a whole.
+    /// [`encode`](super::encode) writes it, from all columns.
     #[must_use]
     pub fn is_streamed(self) -> bool {
-        match self {
-            Self::Pcd { encoding: PcdEncoding::Compressed, .. } => false,
-            Self::Ply { .. } | Self::Xyz { .. } | Self::Npy { .. } | Self::Pcd { .. } => true,
-            Self::Las { .. } | Self::E57 | Self::Off | Self::Obj => false,
-        }
+        self.ask(|format| format.is_streamed())
     }
 
     /// What a file of this format has no place for, a phrase each: of the attributes and of what else is
     /// known of the cloud.
     #[must_use]
     pub fn cannot_hold(self, attributes: &[Attribute], origin: &Origin) -> Vec<String> {
-        let mut lost = Vec::new();
-        if let Self::E57 = self {
-            lost.extend(e57::not_held(attributes));
-        }
-        let las = origin.las.as_deref();
-        if let Self::Las { .. } = self {
-            if las.is_some_and(|las| las.is_indexed) {
-                lost.push("the index of the points (COPC or LAX)".to_owned());
+        self.ask(|format| {
+            let mut lost = format.not_held(attributes, origin);
+            if let (false, Some(crs)) = (format.holds_crs(), &origin.crs) {
+                lost.push(format!("the coordinate system ({})", crs.name()));
             }
-            if origin.sensor.is_some() {
-                lost.push("the sensor's place".to_owned());
+            if !format.holds_tables() {
+                lost.extend(origin.tables.iter().map(|table| table.name.clone()));
             }
-        } else if let Some(las) = las {
-            // Those of the coordinate system say what `crs` does.
-            let others = las.records.iter().filter(|record| !record.is_crs());
-            let named: Vec<String> = others.map(|r| format!("{} {}", r.user_id, r.id)).collect();
-            if !named.is_empty() {
-                lost.push(format!("LAS records ({})", named.join(", ")));
-            }
-        }
-        if let (Self::Xyz { .. } | Self::Npy { .. }, Some(crs)) = (self, &origin.crs) {
-            lost.push(format!("the coordinate system ({})", crs.name()));
-        }
-        if !matches!(self, Self::Ply { .. }) {
-            lost.extend(origin.tables.iter().map(|table| table.name.clone()));
-        }
-        lost
+            lost
+        })
     }
 
     /// The media types of all that is written; see [`Format::media_type`].
-    pub const MEDIA_TYPES: [&str; 8] = [
-        "application/x-ply",
-        "application/vnd.las",
-        "application/vnd.laszip",
-        "application/x-pcd",
-        "application/x-npy",
-        "model/e57",
-        "text/plain",
-        "text/csv",
-    ];
+    pub const MEDIA_TYPES: [&str; registry::MEDIA_TYPES.len()] = registry::MEDIA_TYPES;
 
     /// The format that a media type asks for, without parameters, in lower case; as
     /// [`Format::from_extension`] has it.
     #[must_use]
     pub fn from_media_type(media_type: &str) -> Option<Self> {
-        let extension = match media_type {
-            "application/x-ply" | "application/ply" | "model/ply" => "ply",
-            "text/plain" => "xyz",
-            "text/csv" => "csv",
-            "application/vnd.las" => "las",
-            "application/vnd.laszip" => "laz",
-            "application/x-pcd" => "pcd",
-            "application/x-npy" => "npy",
-            "model/e57" => "e57",
-            _ => return None,
-        };
-        Self::from_extension(Path::new(&format!("cloud.{extension}")))
+        registry::from_media_type(media_type)
     }
 
     /// The media type for HTTP. PLY and PCD have no registered one.
     #[must_use]
     pub fn media_type(self) -> &'static str {
-        match self {
-            Self::Ply { .. } => "application/x-ply",
-            Self::Xyz { separator: Separator::Comma, .. } => "text/csv; charset=utf-8",
-            Self::Xyz { .. } => "text/plain; charset=utf-8",
-            Self::Las { compressed: false } => "application/vnd.las",
-            Self::Las { compressed: true } => "application/vnd.laszip",
-            Self::Pcd { .. } => "application/x-pcd",
-            Self::Npy { .. } => "application/x-npy",
-            Self::E57 => "model/e57",
-            Self::Off => "model/vnd.off",
-            Self::Obj => "model/obj",
-        }
+        self.ask(|format| format.media_type())
     }
 
     /// The exact length in bytes of a file of `points` points with these attributes as
@@ -329,92 +154,22 @@ impl Format {
     /// PCD, and NumPy.
     #[must_use]
     pub fn encoded_len(self, points: u64, attributes: &[Attribute], origin: &Origin) -> Option<u64> {
-        match self {
-            Self::Ply { encoding: PlyEncoding::Ascii, .. } => None,
-            Self::Ply { encoding, scalar } => {
-                let header = ply_header(encoding, scalar, points, attributes, origin).len() as u64;
-                let tables = origin.tables.iter().map(Table::bytes).sum::<u64>();
-                let rows = points.checked_mul(3 * scalar.size() + bytes_a_point(attributes))?;
-                rows.checked_add(header)?.checked_add(tables)
-            }
-            Self::Npy { scalar, fields } => {
-                let header = npy::header(scalar, fields, points, attributes).len() as u64;
-                let others = if npy::is_table(fields, attributes) {
-                    attributes.len() as u64 * scalar.size()
-                } else {
-                    bytes_a_point(attributes)
-                };
-                points.checked_mul(3 * scalar.size() + others)?.checked_add(header)
-            }
-            Self::Pcd { encoding: PcdEncoding::Binary, scalar } => {
-                let header =
-                    pcd::header(PcdEncoding::Binary, scalar, points, attributes, origin).len() as u64;
-                let fields = pcd::columns(attributes, PcdEncoding::Binary, 0..0);
-                points.checked_mul(3 * scalar.size() + bytes_a_point(&fields))?.checked_add(header)
-            }
-            Self::Xyz { .. } | Self::Las { .. } | Self::Pcd { .. } | Self::E57 | Self::Off | Self::Obj => {
-                None
-            }
-        }
+        self.ask(|format| format.encoded_len(points, attributes, origin))
+    }
+
+    /// Bytes that a file of `points` points will have, about, and mostly less, where each point has
+    /// `attribute_bytes` bytes of attributes in memory.
+    #[must_use]
+    pub fn file_bytes(self, points: u64, attribute_bytes: u64) -> u64 {
+        let position = size_of::<Position>() as u64;
+        points.saturating_mul(self.ask(|format| format.bytes_a_point(position, attribute_bytes)))
     }
 }
 
 /// For people: `PLY (binary_little_endian, 32-bit)`.
 impl fmt::Display for Format {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Ply { encoding, scalar } => {
-                write!(f, "PLY ({}, {}-bit)", encoding.name(), 8 * scalar.size())
-            }
-            Self::Xyz { separator: Separator::Comma, .. } => f.write_str("text (commas)"),
-            Self::Xyz { separator: Separator::Semicolon, .. } => f.write_str("text (semicolons)"),
-            Self::Xyz { separator: Separator::Space, .. } => f.write_str("text"),
-            Self::Npy { scalar, fields } => {
-                let fields = if *fields { ", fields" } else { "" };
-                write!(f, "NumPy ({}-bit{fields})", 8 * scalar.size())
-            }
-            Self::E57 => f.write_str("E57"),
-            Self::Off => f.write_str("OFF"),
-            Self::Obj => f.write_str("OBJ"),
-            Self::Las { compressed: false } => f.write_str("LAS"),
-            Self::Las { compressed: true } => f.write_str("LAZ"),
-            Self::Pcd { encoding, scalar } => {
-                write!(f, "PCD ({}, {}-bit)", encoding.name(), 8 * scalar.size())
-            }
-        }
-    }
-}
-
-impl PcdEncoding {
-    /// As in a header.
-    pub(super) fn name(self) -> &'static str {
-        match self {
-            Self::Ascii => "ascii",
-            Self::Binary => "binary",
-            Self::Compressed => "binary_compressed",
-        }
-    }
-}
-
-impl PlyEncoding {
-    /// As in a header.
-    pub(super) fn name(self) -> &'static str {
-        match self {
-            Self::Ascii => "ascii",
-            Self::BinaryLittleEndian => "binary_little_endian",
-            Self::BinaryBigEndian => "binary_big_endian",
-        }
-    }
-}
-
-impl Separator {
-    /// What is written.
-    pub(super) fn as_str(self) -> &'static str {
-        match self {
-            Self::Space => " ",
-            Self::Comma => ",",
-            Self::Semicolon => ";",
-        }
+        self.ask(|format| format.fmt(f))
     }
 }
 

@@ -30,27 +30,37 @@
 //! # Ok::<(), densecloud_formats::FormatError>(())
 //! ```
 
-mod e57;
+mod columns;
 mod error;
 mod format;
-mod las;
+mod kind;
 mod mesh;
+mod numbers;
+mod reader;
+mod registry;
+mod source;
+mod spool;
+#[cfg(test)]
+mod tests;
+mod text;
+mod writer;
+
+mod e57;
+mod las;
 mod npy;
 mod obj;
 mod off;
 mod pcd;
 mod ply;
-mod reader;
-mod source;
-#[cfg(test)]
-mod tests;
-mod text;
-mod writer;
 mod xyz;
 
 pub use error::{FormatError, Place};
-pub use format::{Format, Header, Limits, PcdEncoding, PlyEncoding, Scalar, Separator};
+pub use format::{Header, Limits, Scalar};
 pub use mesh::{read_mesh, read_mesh_file};
-pub use npy::header as npy_header;
-pub use reader::{CloudReader, read_cloud_file};
+pub use npy::npy_header;
+pub use pcd::PcdEncoding;
+pub use ply::PlyEncoding;
+pub use reader::{Block, CloudReader, ColumnName, Ending, read_cloud_file};
+pub use registry::Format;
 pub use writer::{CloudWriter, encode};
+pub use xyz::Separator;

@@ -1,18 +1,21 @@
 //! Wavefront OBJ, of which the vertices are points.
 
-use std::io::Read;
+use std::fmt;
 
+use super::columns::TextColumn;
+use super::kind::{self, Choices, Mark, Opened, Rows};
+use super::ply::Ply;
+use super::reader::{Block, ColumnName, Ending, Points};
 use super::source::Source;
 use super::text::{next_token, parse_f64, shown};
-use super::xyz::Column;
 use super::{Format, FormatError, Header, Limits};
-use densecloud_cloud::{Attribute, Cloud, Values};
+use densecloud_cloud::{Attribute, Kind, Origin, Values};
 
 /// What a line before the first vertex may begin with.
 const KEYWORDS: [&[u8]; 8] = [b"o", b"g", b"s", b"mtllib", b"usemtl", b"vn", b"vt", b"usemap"];
 
 /// Whether text is OBJ: its first lines are such as stand there before vertices, and a vertex.
-pub(super) fn is_obj(head: &[u8]) -> bool {
+fn is_obj(head: &[u8]) -> bool {
     for line in head.split(|b| matches!(b, b'\n' | b'\r')) {
         let mut rest = uncommented(line);
         match next_token(&mut rest) {
@@ -33,14 +36,92 @@ fn uncommented(line: &[u8]) -> &[u8] {
     line.split(|b| *b == b'#').next().unwrap_or_default()
 }
 
-pub(super) fn header() -> Header {
-    Header { format: Format::Obj, points: None, attributes: Vec::new(), dropped_properties: Vec::new() }
+/// OBJ, which has no choices.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Obj;
+
+impl kind::Kind for Obj {
+    const MARK: Mark = Mark::Lines(is_obj);
+    const BEGINNING: Option<&'static str> = Some("lines such as `v 1 2 3`");
+    const MEDIA_TYPES: &'static [&'static str] = &[];
+
+    fn from_extension(extension: &str) -> Option<Self> {
+        (extension == "obj").then_some(Self)
+    }
+
+    fn from_media_type(_media_type: &str) -> Option<Self> {
+        None
+    }
+
+    fn open(_source: &mut Source<'_>, limits: Limits) -> Result<Opened, FormatError> {
+        let (attributes, dropped_properties) = (Vec::new(), Vec::new());
+        let header = Header { format: Format::Obj, points: None, attributes, dropped_properties };
+        Ok(Opened { header, points: Box::new(ObjPoints { limits, ending: None }) })
+    }
+}
+
+impl Choices for Obj {
+    fn media_type(&self) -> &'static str {
+        "model/obj"
+    }
+
+    fn of_result(&self, input: Format, _names: bool) -> Format {
+        input.written()
+    }
+
+    fn written(&self) -> Option<Format> {
+        Some(Ply::EXACT.into())
+    }
+
+    fn holds_comments(&self) -> bool {
+        false
+    }
+
+    fn is_streamed(&self) -> bool {
+        false
+    }
+
+    fn begin(
+        &self,
+        _points: u64,
+        _attributes: &[Attribute],
+        _origin: &Origin,
+    ) -> Result<(Vec<u8>, Box<dyn Rows>), FormatError> {
+        Err(FormatError::read_only(self))
+    }
+}
+
+impl fmt::Display for Obj {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("OBJ")
+    }
+}
+
+/// The vertices, all at once: normals stand behind them, and only then is it known whether each has one.
+struct ObjPoints {
+    limits: Limits,
+    /// Once they are read.
+    ending: Option<Ending>,
+}
+
+impl Points for ObjPoints {
+    fn append(&mut self, source: &mut Source<'_>, _rows: usize, to: &mut Block) -> Result<(), FormatError> {
+        if self.ending.is_none() {
+            self.ending = Some(read(source, self.limits, to)?);
+        }
+        Ok(())
+    }
+
+    fn finish(self: Box<Self>, _source: &mut Source<'_>) -> Result<Ending, FormatError> {
+        Ok(self.ending.unwrap_or_else(|| Ending::of_text(std::iter::empty())))
+    }
 }
 
 /// Reads the vertices, colours behind their coordinates, and normals where there are as many as vertices.
-pub(super) fn read<R: Read>(source: &mut Source<R>, limits: Limits) -> Result<Cloud, FormatError> {
-    let mut cloud = Cloud::default();
-    let mut colours = [Column::new(), Column::new(), Column::new()];
+fn read(source: &mut Source<'_>, limits: Limits, to: &mut Block) -> Result<Ending, FormatError> {
+    let mut dropped: Vec<String> = Vec::new();
+    let mut colours = [TextColumn::new(), TextColumn::new(), TextColumn::new()];
+    let mut shades = [(); 3].map(|()| Values::new(Kind::I64));
     let mut coloured = false;
     let mut normals = [Vec::new(), Vec::new(), Vec::new()];
     let mut continued = false;
@@ -53,11 +134,11 @@ pub(super) fn read<R: Read>(source: &mut Source<R>, limits: Limits) -> Result<Cl
         let mut rest = line;
         match next_token(&mut rest).unwrap_or_default() {
             b"v" => {
-                cloud.positions.push(three(source, &mut rest)?);
+                to.positions.push(three(source, &mut rest)?);
                 if let Some(limit) = limits.max_points
-                    && cloud.positions.len() as u64 > limit
+                    && to.positions.len() as u64 > limit
                 {
-                    return Err(FormatError::TooManyPoints { points: cloud.positions.len() as u64, limit });
+                    return Err(FormatError::TooManyPoints { points: to.positions.len() as u64, limit });
                 }
                 // One number more is a weight.
                 let mut others: [&[u8]; 3] = [b""; 3];
@@ -65,8 +146,8 @@ pub(super) fn read<R: Read>(source: &mut Source<R>, limits: Limits) -> Result<Cl
                 others.fill_with(|| tokens.next().unwrap_or_default());
                 let has = !others[2].is_empty();
                 coloured |= has;
-                for (column, token) in colours.iter_mut().zip(others) {
-                    column.push(if has { token } else { b"" });
+                for ((column, numbers), token) in colours.iter_mut().zip(&mut shades).zip(others) {
+                    column.push(numbers, if has { token } else { b"" });
                 }
             }
             b"vn" => {
@@ -86,31 +167,32 @@ pub(super) fn read<R: Read>(source: &mut Source<R>, limits: Limits) -> Result<Cl
                     b"vt" => "texture coordinates",
                     _ => continue,
                 };
-                if !cloud.dropped_properties.iter().any(|dropped| dropped == name) {
-                    cloud.dropped_properties.push(name.to_owned());
+                if !dropped.iter().any(|dropped| dropped == name) {
+                    dropped.push(name.to_owned());
                 }
             }
         }
     }
+    let names = ["red", "green", "blue"].map(str::to_owned);
+    let columns = names.into_iter().zip(&colours).take(if coloured { 3 } else { 0 });
+    let mut ending = Ending::of_text(columns);
     if coloured {
-        for (name, column) in ["red", "green", "blue"].into_iter().zip(colours) {
-            match column.into_values() {
-                Some(values) => cloud.attributes.push(Attribute { name: name.into(), values }),
-                None => cloud.dropped_properties.push(format!("{name} (text)")),
-            }
-        }
+        to.columns.extend(shades);
     }
-    if normals[0].len() == cloud.positions.len() {
+    dropped.append(&mut ending.dropped_properties);
+    ending.dropped_properties = dropped;
+    if normals[0].len() == to.positions.len() {
         for (name, values) in ["nx", "ny", "nz"].into_iter().zip(normals) {
-            cloud.attributes.push(Attribute { name: name.into(), values: Values::F64(values) });
+            ending.columns.push(Some(ColumnName { name: name.to_owned(), kind: Kind::F64 }));
+            to.columns.push(Values::F64(values));
         }
     } else if !normals[0].is_empty() {
-        cloud.dropped_properties.push("normals (not one a vertex)".to_owned());
+        ending.dropped_properties.push("normals (not one a vertex)".to_owned());
     }
-    Ok(cloud)
+    Ok(ending)
 }
 
-fn three<R: Read>(source: &Source<R>, rest: &mut &[u8]) -> Result<[f64; 3], FormatError> {
+fn three(source: &Source<'_>, rest: &mut &[u8]) -> Result<[f64; 3], FormatError> {
     let mut numbers = [0.0; 3];
     for number in &mut numbers {
         let token = next_token(rest).unwrap_or_default();

@@ -1,15 +1,81 @@
 //! OFF (Object File Format): a keyword, three counts, vertices, faces.
 
-use std::io::Read;
+use std::fmt;
 use std::ops::Range;
 
+use super::columns::TextColumn;
+use super::kind::{Choices, Kind, Mark, Opened, Rows};
 use super::mesh::Polygons;
+use super::ply::Ply;
+use super::reader::{Block, Ending, Points};
 use super::source::Source;
 use super::text::{next_token, parse_f64, shown, strip_comment};
-use super::xyz::Column;
 use super::{Format, FormatError, Header, Limits, Place};
-use densecloud_cloud::{Attribute, Cloud, Position};
+use densecloud_cloud::{Attribute, Origin, Position};
 use densecloud_geometry::Mesh;
+
+/// OFF, which has no choices.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Off;
+
+impl Kind for Off {
+    const MARK: Mark = Mark::Lines(|head| {
+        let mut lines = head.split(|b| matches!(b, b'\n' | b'\r'));
+        lines.find_map(|line| next_token(&mut strip_comment(line))).is_some_and(is_keyword)
+    });
+    const BEGINNING: Option<&'static str> = Some("`OFF`");
+    const MEDIA_TYPES: &'static [&'static str] = &[];
+
+    fn from_extension(extension: &str) -> Option<Self> {
+        (extension == "off").then_some(Self)
+    }
+
+    fn from_media_type(_media_type: &str) -> Option<Self> {
+        None
+    }
+
+    fn open(source: &mut Source<'_>, limits: Limits) -> Result<Opened, FormatError> {
+        let (points, header) = OffHeader::open(source, limits)?;
+        Ok(Opened { header, points: Box::new(points) })
+    }
+}
+
+impl Choices for Off {
+    fn media_type(&self) -> &'static str {
+        "model/vnd.off"
+    }
+
+    fn of_result(&self, input: Format, _names: bool) -> Format {
+        input.written()
+    }
+
+    fn written(&self) -> Option<Format> {
+        Some(Ply::EXACT.into())
+    }
+
+    fn holds_comments(&self) -> bool {
+        false
+    }
+
+    fn is_streamed(&self) -> bool {
+        false
+    }
+
+    fn begin(
+        &self,
+        _points: u64,
+        _attributes: &[Attribute],
+        _origin: &Origin,
+    ) -> Result<(Vec<u8>, Box<dyn Rows>), FormatError> {
+        Err(FormatError::read_only(self))
+    }
+}
+
+impl fmt::Display for Off {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("OFF")
+    }
+}
 
 /// Whether a file that begins with this token is an OFF file. `COFF`, `NOFF` and `STOFF` add colours,
 /// normals and texture coordinates to vertices; some writers put the first count right behind.
@@ -19,17 +85,21 @@ pub(super) fn is_keyword(token: &[u8]) -> bool {
 
 /// What stands before the vertices.
 #[derive(Debug)]
-pub(super) struct OffHeader {
+struct OffHeader {
     vertices: u32,
     faces: u32,
     /// What each vertex has behind its coordinates.
     normals: bool,
     colours: bool,
+    /// Vertices given as points.
+    given: u32,
+    /// What they have behind their coordinates, by [`names`](Self::names).
+    columns: Vec<TextColumn>,
 }
 
 impl OffHeader {
     /// Reads the keyword and the counts, on its line or the next; `#` comments may be anywhere.
-    fn parse<R: Read>(source: &mut Source<R>) -> Result<Self, FormatError> {
+    fn parse(source: &mut Source<'_>) -> Result<Self, FormatError> {
         let mut line = need_line(source, "the keyword `OFF`")?;
         let keyword = {
             let mut rest = source.bytes(line.clone());
@@ -50,13 +120,15 @@ impl OffHeader {
         let faces = whole(source, &mut rest, "the number of faces")?;
         let before = keyword.strip_suffix(b"OFF").unwrap_or_default();
         let before = before.strip_prefix(b"ST").unwrap_or(before);
-        Ok(Self { vertices, faces, normals: before.contains(&b'N'), colours: before.contains(&b'C') })
+        let (normals, colours) = (before.contains(&b'N'), before.contains(&b'C'));
+        let columns = vec![TextColumn::new(); 3 * (usize::from(normals) + usize::from(colours))];
+        Ok(Self { vertices, faces, normals, colours, given: 0, columns })
     }
 
     /// Reads the next vertex; gives what is behind its coordinates, too.
-    fn vertex<'a, R: Read>(
+    fn vertex<'a>(
         &self,
-        source: &'a mut Source<R>,
+        source: &'a mut Source<'_>,
         number: u32,
     ) -> Result<(Position, &'a [u8]), FormatError> {
         let line = need_line(source, &format!("vertex {number} of {}", self.vertices))?;
@@ -70,10 +142,7 @@ impl OffHeader {
     }
 
     /// Reads what stands before the points of a cloud.
-    pub(super) fn open<R: Read>(
-        source: &mut Source<R>,
-        limits: Limits,
-    ) -> Result<(Self, Header), FormatError> {
+    fn open(source: &mut Source<'_>, limits: Limits) -> Result<(Self, Header), FormatError> {
         let off = Self::parse(source)?;
         let points = u64::from(off.vertices);
         if let Some(limit) = limits.max_points
@@ -98,35 +167,36 @@ impl OffHeader {
         }
         names
     }
+}
 
-    /// Reads the vertices as points, and over the faces.
-    pub(super) fn read<R: Read>(self, source: &mut Source<R>) -> Result<Cloud, FormatError> {
-        let mut cloud = Cloud::default();
-        let names = self.names();
-        let mut columns: Vec<Column> = names.iter().map(|_| Column::new()).collect();
-        for i in 0..self.vertices {
-            let (position, mut rest) = self.vertex(source, i)?;
-            cloud.positions.push(position);
-            for column in &mut columns {
-                column.push(next_token(&mut rest).unwrap_or_default());
-            }
+impl Points for OffHeader {
+    fn append(&mut self, source: &mut Source<'_>, rows: usize, to: &mut Block) -> Result<(), FormatError> {
+        if to.columns.is_empty() {
+            to.columns = self.columns.iter().map(TextColumn::empty).collect();
         }
+        let rows = u32::try_from(rows).unwrap_or(u32::MAX);
+        for number in self.given..self.vertices.min(self.given.saturating_add(rows)) {
+            let (position, mut rest) = self.vertex(source, number)?;
+            to.positions.push(position);
+            for (column, numbers) in self.columns.iter_mut().zip(&mut to.columns) {
+                column.push(numbers, next_token(&mut rest).unwrap_or_default());
+            }
+            self.given += 1;
+        }
+        Ok(())
+    }
+
+    fn finish(self: Box<Self>, source: &mut Source<'_>) -> Result<Ending, FormatError> {
         for i in 0..self.faces {
             need_line(source, &format!("face {i} of {}", self.faces))?;
         }
-        for (name, column) in names.into_iter().zip(columns) {
-            match column.into_values() {
-                Some(values) => cloud.attributes.push(Attribute { name: name.to_owned(), values }),
-                None => cloud.dropped_properties.push(format!("{name} (text)")),
-            }
-        }
-        Ok(cloud)
+        Ok(Ending::of_text(self.names().into_iter().map(str::to_owned).zip(&self.columns)))
     }
 }
 
 /// Reads an OFF file: a vertex or a face a line. What follows the coordinates of a vertex or the corners of
 /// a face (colours, normals) is skipped.
-pub(super) fn read_mesh<R: Read>(source: &mut Source<R>) -> Result<Mesh, FormatError> {
+pub(super) fn read_mesh(source: &mut Source<'_>) -> Result<Mesh, FormatError> {
     let header = OffHeader::parse(source)?;
     let mut vertices = Vec::new();
     for i in 0..header.vertices {
@@ -155,7 +225,7 @@ fn keyword_len(token: &[u8]) -> Option<usize> {
 }
 
 /// The next line that holds more than a comment, without the comment.
-fn need_line<R: Read>(source: &mut Source<R>, what: &str) -> Result<Range<usize>, FormatError> {
+fn need_line(source: &mut Source<'_>, what: &str) -> Result<Range<usize>, FormatError> {
     loop {
         let Some(line) = source.next_line()? else {
             return Err(FormatError::truncated(source.line(), format!("{what} is missing")));
@@ -168,13 +238,13 @@ fn need_line<R: Read>(source: &mut Source<R>, what: &str) -> Result<Range<usize>
     }
 }
 
-fn whole<R: Read>(source: &Source<R>, rest: &mut &[u8], what: &str) -> Result<u32, FormatError> {
+fn whole(source: &Source<'_>, rest: &mut &[u8], what: &str) -> Result<u32, FormatError> {
     let token = next_token(rest).unwrap_or_default();
     let text = std::str::from_utf8(token).ok();
     text.and_then(|t| t.parse().ok()).ok_or_else(|| bad(source, token, what))
 }
 
-fn bad<R: Read>(source: &Source<R>, token: &[u8], what: &str) -> FormatError {
+fn bad(source: &Source<'_>, token: &[u8], what: &str) -> FormatError {
     let at: Place = source.line();
     let found =
         if token.is_empty() { "the line ends".to_owned() } else { format!("{} stands", shown(token)) };

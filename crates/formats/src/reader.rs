@@ -4,93 +4,172 @@ use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
-use super::npy::{self, NpyHeader};
-use super::off::{self, OffHeader};
-use super::pcd::PcdHeader;
-use super::ply::{self, PlyHeader};
-use super::source::Source;
-use super::text::{next_token, shown, strip_comment};
-use super::xyz::XyzReader;
-use super::{Format, FormatError, Header, Limits, e57, las, obj};
-use densecloud_cloud::Cloud;
+use super::columns::TextColumn;
+use super::kind::Opened;
+use super::registry::{self, Found};
+use super::source::{Input, Source};
+use super::text::shown;
+use super::{Format, FormatError, Header, Limits};
+use densecloud_cloud::{Attribute, Cloud, Kind, Origin, Position, Values};
 
-/// Reads one cloud: [`open`](Self::open) takes the header, [`read`](Self::read) the points.
+/// Points that are read at a time where nobody says how many.
+const BLOCK: usize = 1 << 16;
+
+/// Reads one cloud: [`open`](Self::open) takes the header, then [`read`](Self::read) all points, or
+/// [`next_block`](Self::next_block) some at a time and [`finish`](Self::finish) what follows them.
 ///
-/// It buffers by itself, so that `R` needs no `BufReader` around it.
-pub struct CloudReader<R> {
-    source: Source<R>,
+/// It buffers by itself, so that the reader needs no `BufReader` around it.
+///
+/// ```
+/// use densecloud_formats::{Block, CloudReader, Limits};
+///
+/// let text = "x y z red\n0 0 0 7\n1 0 0 8\n0 1 0 9\n";
+/// let mut reader = CloudReader::open(text.as_bytes(), Limits::default())?;
+/// let (mut block, mut points) = (Block::default(), 0);
+/// while reader.next_block(2, &mut block)? {
+///     points += block.positions.len();
+/// }
+/// let ending = reader.finish()?;
+/// assert_eq!((points, ending.columns[0].as_ref().map(|c| c.name.as_str())), (3, Some("red")));
+/// # Ok::<(), densecloud_formats::FormatError>(())
+/// ```
+pub struct CloudReader<'r> {
+    source: Source<'r>,
     header: Header,
-    body: Body,
-    limits: Limits,
+    points: Box<dyn Points>,
+    /// Points given so far.
+    given: u64,
 }
 
-enum Body {
-    Ply(PlyHeader),
-    Xyz(XyzReader),
-    Las,
-    Pcd(PcdHeader),
-    Npy(NpyHeader),
-    E57,
-    Off(OffHeader),
-    Obj,
+/// Consecutive points of a file.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Block {
+    /// One entry a point, in the file's order and units; NaN and infinite coordinates as they are.
+    pub positions: Vec<Position>,
+    /// What else the file tells of these points, one number a point each. [`Ending::columns`] has what the columns
+    /// are; they are as many in each block, but a column of text that holds no number type of its own is of 64-bit
+    /// integers up to the block where a fraction is among them, of doubles from there on, and empty from where
+    /// something in it is no number.
+    pub columns: Vec<Values>,
 }
 
-impl<R: Read> CloudReader<R> {
+/// What is known of a cloud when all of it has been read.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Ending {
+    /// What each column of the blocks is; none where it is not kept.
+    pub columns: Vec<Option<ColumnName>>,
+    /// As [`Cloud::dropped_properties`].
+    pub dropped_properties: Vec<String>,
+    /// What the file tells of the whole, its hash among it.
+    pub origin: Origin,
+}
+
+/// The attribute that a column is.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ColumnName {
+    /// The attribute's name.
+    pub name: String,
+    /// The smallest usual type that holds its numbers.
+    pub kind: Kind,
+}
+
+impl Ending {
+    /// Of columns of text by these names, which tell nothing of the whole.
+    pub(crate) fn of_text<'a>(columns: impl Iterator<Item = (String, &'a TextColumn)>) -> Self {
+        let mut dropped_properties = Vec::new();
+        let columns = columns.map(|(name, column)| match column.kind() {
+            Some(kind) => Some(ColumnName { name, kind }),
+            None => {
+                dropped_properties.push(format!("{name} (text)"));
+                None
+            }
+        });
+        let columns = columns.collect();
+        Self { columns, dropped_properties, origin: Origin::default() }
+    }
+}
+
+/// The points of a file that is open.
+pub(crate) trait Points {
+    /// Appends the next points, `rows` at most, to a block that is empty or is what the calls before have left;
+    /// none where all are read. What does not lie point after point in the file comes at once, whatever `rows` is.
+    ///
+    /// # Errors
+    /// The data are malformed, end early, or pass a limit.
+    fn append(&mut self, source: &mut Source<'_>, rows: usize, to: &mut Block) -> Result<(), FormatError>;
+
+    /// Reads what follows the points. The hash is not told here.
+    ///
+    /// # Errors
+    /// The data are malformed, end early, or go on after what the header counts.
+    fn finish(self: Box<Self>, source: &mut Source<'_>) -> Result<Ending, FormatError>;
+}
+
+impl<'r> CloudReader<'r> {
     /// Recognises the format by its content and reads its header (for text: up to the first point).
     ///
     /// # Errors
     /// The format is none of ours, the header is malformed, or what it claims is over a limit.
-    pub fn open(reader: R, limits: Limits) -> Result<Self, FormatError> {
-        Self::open_as(reader, limits, None)
+    pub fn open(reader: impl Read + 'r, limits: Limits) -> Result<Self, FormatError> {
+        Self::open_as(Input::Stream(Box::new(reader)), limits, None)
+    }
+
+    /// As [`open`](Self::open) of a file. What must be sought in is read from where it lies, and not copied first.
+    ///
+    /// # Errors
+    /// As [`open`](Self::open).
+    pub fn open_file(file: File, limits: Limits) -> Result<Self, FormatError> {
+        Self::open_as(Input::of_file(file)?, limits, None)
     }
 
     /// As [`open`](Self::open); `expected` is the format that the file's name tells. Content wins, but
     /// text under the name of another format is refused rather than taken for points.
-    fn open_as(reader: R, limits: Limits, expected: Option<Format>) -> Result<Self, FormatError> {
-        let mut source = Source::new(reader, limits)?;
-        match sniff(source.peek(4096)?) {
-            Sniffed::Ply => {
-                let ply = ply::parse(&mut source)?;
-                let header = ply::describe(&source, &ply, limits)?;
-                Ok(Self { source, header, body: Body::Ply(ply), limits })
-            }
-            Sniffed::Pcd => {
-                let (pcd, header) = PcdHeader::open(&mut source, limits)?;
-                Ok(Self { source, header, body: Body::Pcd(pcd), limits })
-            }
-            Sniffed::Npy => {
-                let (npy, header) = NpyHeader::open(&mut source, limits)?;
-                Ok(Self { source, header, body: Body::Npy(npy), limits })
-            }
-            Sniffed::Off => {
-                let (off, header) = OffHeader::open(&mut source, limits)?;
-                Ok(Self { source, header, body: Body::Off(off), limits })
-            }
-            Sniffed::Obj => Ok(Self { source, header: obj::header(), body: Body::Obj, limits }),
-            Sniffed::E57 => {
-                let header = e57::open(&mut source)?;
-                Ok(Self { source, header, body: Body::E57, limits })
-            }
-            Sniffed::Las => {
-                let header = las::open(&mut source, limits)?;
-                Ok(Self { source, header, body: Body::Las, limits })
-            }
-            Sniffed::Text => {
-                if let Some(begins) = expected.and_then(beginning) {
-                    let found = format!("text that does not begin with {begins}");
-                    return Err(FormatError::Unrecognised { found });
-                }
-                let (xyz, header) = XyzReader::open(&mut source, limits)?;
-                Ok(Self { source, header, body: Body::Xyz(xyz), limits })
-            }
-            Sniffed::Other(found) => Err(FormatError::Unrecognised { found }),
-            Sniffed::Nothing => Err(FormatError::Empty("points")),
+    fn open_as(input: Input<'r>, limits: Limits, expected: Option<Format>) -> Result<Self, FormatError> {
+        let mut source = Source::new(input, limits)?;
+        let found = recognise(source.peek(4096)?)?;
+        if let (true, Some(begins)) = (found.is_bare, expected.and_then(Format::beginning)) {
+            let found = format!("text that does not begin with {begins}");
+            return Err(FormatError::Unrecognised { found });
         }
+        let Opened { header, points } = (found.open)(&mut source, limits)?;
+        Ok(Self { source, header, points, given: 0 })
     }
 
     /// What is known before the points are read.
     pub fn header(&self) -> &Header {
         &self.header
+    }
+
+    /// Reads the next points, `rows` at most, in place of what the block holds; false where all are read. Memory is
+    /// that of the block and of a buffer, however long the file is, but for files whose points do not lie one after
+    /// another: compressed PCD, E57, OBJ, and NumPy's arrays in Fortran's order come in one block. What must be
+    /// sought in (LAS, LAZ, E57) is read from a file where [`open_file`](Self::open_file) was given one, and is held
+    /// in memory up to 64 MiB, or else in a temporary file, where not.
+    ///
+    /// # Errors
+    /// The data are malformed, end early, or pass a limit.
+    pub fn next_block(&mut self, rows: usize, block: &mut Block) -> Result<bool, FormatError> {
+        block.positions.clear();
+        block.columns.clear();
+        self.points.append(&mut self.source, rows.max(1), block)?;
+        self.given += block.positions.len() as u64;
+        Ok(!block.positions.is_empty())
+    }
+
+    /// Reads what follows the points; to be called once [`next_block`](Self::next_block) has given all.
+    ///
+    /// # Errors
+    /// The data are malformed, end early, go on after what the header counts, or hold no point.
+    pub fn finish(mut self) -> Result<Ending, FormatError> {
+        let mut ending = self.points.finish(&mut self.source)?;
+        if self.given == 0 {
+            return Err(FormatError::Empty("points"));
+        }
+        let mut dropped = self.header.dropped_properties;
+        dropped.append(&mut ending.dropped_properties);
+        ending.dropped_properties = dropped;
+        ending.origin.sha256 = Some(self.source.sha256()?);
+        Ok(ending)
     }
 
     /// Reads the points and everything after them. O(n); memory grows with the data, not with the
@@ -100,24 +179,31 @@ impl<R: Read> CloudReader<R> {
     /// The data are malformed, end early, go on after what the header counts, pass a limit, or hold no
     /// point.
     pub fn read(mut self) -> Result<Cloud, FormatError> {
-        let mut cloud = match self.body {
-            Body::Ply(ply) => ply::read_cloud(&mut self.source, &ply)?,
-            Body::Xyz(xyz) => xyz.read(&mut self.source, self.limits)?,
-            Body::Pcd(pcd) => pcd.read(&mut self.source)?,
-            Body::Npy(npy) => npy.read(&mut self.source)?,
-            Body::Off(off) => off.read(&mut self.source)?,
-            Body::Obj => obj::read(&mut self.source, self.limits)?,
-            Body::E57 => e57::read(&mut self.source, self.limits)?,
-            Body::Las => las::read(&mut self.source)?,
-        };
-        if cloud.positions.is_empty() {
-            return Err(FormatError::Empty("points"));
+        let mut all = Block::default();
+        loop {
+            let before = all.positions.len();
+            self.points.append(&mut self.source, BLOCK, &mut all)?;
+            if all.positions.len() == before {
+                break;
+            }
         }
-        let mut dropped = self.header.dropped_properties;
-        dropped.append(&mut cloud.dropped_properties);
-        cloud.dropped_properties = dropped;
-        cloud.origin.sha256 = Some(self.source.sha256()?);
-        Ok(cloud)
+        self.given = all.positions.len() as u64;
+        let Ending { columns, dropped_properties, origin } = self.finish()?;
+        let attribute = |(values, column): (Values, Option<ColumnName>)| {
+            let ColumnName { name, kind } = column?;
+            Some(Attribute { name, values: narrowed(values, kind) })
+        };
+        let attributes = all.columns.into_iter().zip(columns).filter_map(attribute).collect();
+        Ok(Cloud { positions: all.positions, attributes, dropped_properties, origin })
+    }
+}
+
+/// The numbers in another type, which holds them all, where they are not in that already.
+fn narrowed(values: Values, kind: Kind) -> Values {
+    match (values, kind) {
+        (Values::I64(numbers), Kind::U8) => Values::U8(numbers.iter().map(|&n| n as u8).collect()),
+        (Values::I64(numbers), Kind::I32) => Values::I32(numbers.iter().map(|&n| n as i32).collect()),
+        (values, _) => values,
     }
 }
 
@@ -128,36 +214,9 @@ impl<R: Read> CloudReader<R> {
 /// As [`CloudReader::open`] and [`CloudReader::read`], or the file cannot be opened.
 pub fn read_cloud_file(path: &Path) -> Result<(Cloud, Header), FormatError> {
     let expected = Format::from_extension(path);
-    let reader = CloudReader::open_as(File::open(path)?, Limits::default(), expected)?;
+    let reader = CloudReader::open_as(Input::of_file(File::open(path)?)?, Limits::default(), expected)?;
     let header = reader.header.clone();
     Ok((reader.read()?, header))
-}
-
-/// What the files of a format begin with, if not with points.
-fn beginning(format: Format) -> Option<&'static str> {
-    match format {
-        Format::Ply { .. } => Some("the line `ply`"),
-        Format::Las { .. } => Some("`LASF`"),
-        Format::Pcd { .. } => Some("`# .PCD`"),
-        Format::Npy { .. } => Some("`\\x93NUMPY`"),
-        Format::E57 => Some("`ASTM-E57`"),
-        Format::Off => Some("`OFF`"),
-        Format::Obj => Some("lines such as `v 1 2 3`"),
-        Format::Xyz { .. } => None,
-    }
-}
-
-enum Sniffed {
-    Ply,
-    Pcd,
-    Las,
-    Npy,
-    E57,
-    Off,
-    Obj,
-    Text,
-    Other(String),
-    Nothing,
 }
 
 /// First bytes of formats that people will try, to name them in the refusal.
@@ -170,39 +229,21 @@ const KNOWN: [(&[u8], &str); 6] = [
     (b"\x89HDF", "an HDF5 file"),
 ];
 
-fn sniff(head: &[u8]) -> Sniffed {
+/// The format of a file that begins with `head`.
+fn recognise(head: &[u8]) -> Result<Found, FormatError> {
     if head.is_empty() {
-        return Sniffed::Nothing;
+        return Err(FormatError::Empty("points"));
     }
-    if let Some(rest) = head.strip_prefix(b"ply")
-        && rest.first().is_none_or(u8::is_ascii_whitespace)
-    {
-        return Sniffed::Ply;
+    if let Some(found) = registry::by_bytes(head) {
+        return Ok(found);
     }
-    // The comment is usual; the line after it is not optional.
-    if head.starts_with(b"# .PCD") || head.starts_with(b"VERSION ") {
-        return Sniffed::Pcd;
-    }
-    if head.starts_with(b"LASF") {
-        return Sniffed::Las;
-    }
-    if head.starts_with(e57::MAGIC) {
-        return Sniffed::E57;
-    }
-    if head.starts_with(npy::MAGIC) {
-        return Sniffed::Npy;
-    }
+    let unknown = |found: String| FormatError::Unrecognised { found };
     if let Some((_, name)) = KNOWN.iter().find(|(magic, _)| head.starts_with(magic)) {
-        return Sniffed::Other((*name).to_owned());
+        return Err(unknown((*name).to_owned()));
     }
-    let control = |b: &u8| *b < 0x20 && !b.is_ascii_whitespace() && !matches!(*b, 0x0B | 0x1A);
-    if head.iter().any(control) {
-        return Sniffed::Other(format!("binary data that begin with {}", shown(&head[..head.len().min(8)])));
+    let is_control = |b: &u8| *b < 0x20 && !b.is_ascii_whitespace() && !matches!(*b, 0x0B | 0x1A);
+    if head.iter().any(is_control) {
+        return Err(unknown(format!("binary data that begin with {}", shown(&head[..head.len().min(8)]))));
     }
-    let mut lines = head.split(|b| matches!(b, b'\n' | b'\r'));
-    let first = lines.find_map(|line| next_token(&mut strip_comment(line)));
-    if first.is_some_and(off::is_keyword) {
-        return Sniffed::Off;
-    }
-    if obj::is_obj(head) { Sniffed::Obj } else { Sniffed::Text }
+    registry::by_lines(head).ok_or_else(|| unknown("text".to_owned()))
 }

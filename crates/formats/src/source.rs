@@ -1,10 +1,12 @@
 //! The buffered bytes behind every reader: lines and blocks without copying, with a byte limit.
 
-use std::io::{ErrorKind, Read};
+use std::fs::File;
+use std::io::{self, ErrorKind, Read, Seek, Write};
 use std::ops::Range;
 
 use sha2::{Digest, Sha256};
 
+use super::spool::Spool;
 use super::{FormatError, Limits, Place};
 
 /// Bytes of a first read; the buffer grows beyond only for a longer line or row.
@@ -13,12 +15,37 @@ const BLOCK: usize = 256 * 1024;
 /// A longer line is refused: without a bound, a file without line ends would be held in memory whole.
 const MAX_LINE: usize = 1 << 20;
 
+/// Where the bytes come from.
+pub(super) enum Input<'r> {
+    /// In order, and once.
+    Stream(Box<dyn Read + 'r>),
+    /// A file that can be read again, from its beginning.
+    File(File),
+}
+
+impl Input<'_> {
+    /// What is left of a file, pipe or device.
+    pub(super) fn of_file(mut file: File) -> io::Result<Self> {
+        let is_whole = file.metadata()?.is_file() && file.stream_position()? == 0;
+        Ok(if is_whole { Self::File(file) } else { Self::Stream(Box::new(file)) })
+    }
+}
+
+impl Read for Input<'_> {
+    fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
+        match self {
+            Self::Stream(reader) => reader.read(bytes),
+            Self::File(file) => file.read(bytes),
+        }
+    }
+}
+
 /// Reads ahead into one buffer, hands out parts of it, and counts bytes and lines.
 ///
 /// A `BufReader` is not enough: sniffing needs to see further than the first bytes that a socket
 /// delivers, and rows and lines that straddle two blocks should not need a copy of their own.
-pub(super) struct Source<R> {
-    inner: R,
+pub(super) struct Source<'r> {
+    input: Input<'r>,
     buffer: Vec<u8>,
     start: usize,
     end: usize,
@@ -30,11 +57,11 @@ pub(super) struct Source<R> {
     hash: Sha256,
 }
 
-impl<R: Read> Source<R> {
+impl<'r> Source<'r> {
     /// Skips a UTF-8 byte order mark and finds out what ends a line.
-    pub(super) fn new(inner: R, limits: Limits) -> Result<Self, FormatError> {
+    pub(super) fn new(input: Input<'r>, limits: Limits) -> Result<Self, FormatError> {
         let mut source = Self {
-            inner,
+            input,
             buffer: vec![0; BLOCK],
             start: 0,
             end: 0,
@@ -94,14 +121,20 @@ impl<R: Read> Source<R> {
         Ok(Some(&self.buffer[self.start - count..self.start]))
     }
 
-    /// Consumes and copies all that is left.
-    pub(super) fn rest(&mut self) -> Result<Vec<u8>, FormatError> {
-        let mut bytes = Vec::new();
+    /// Consumes all that is left, to be sought in: a file as it lies, anything else as a copy.
+    pub(super) fn stored(&mut self) -> Result<Spool, FormatError> {
+        if let (Place::Byte(0), Input::File(file)) = (self.offset(), &self.input) {
+            let file = file.try_clone()?;
+            self.drain()?;
+            return Ok(Spool::of_file(file)?);
+        }
+        let mut spool = Spool::new();
         while self.ensure(1)? {
-            bytes.extend_from_slice(self.buffered());
+            spool.write_all(self.buffered())?;
             self.consume(self.buffered().len());
         }
-        Ok(bytes)
+        spool.rewind()?;
+        Ok(spool)
     }
 
     /// Consumes `count` bytes; false when the data end before.
@@ -181,14 +214,20 @@ impl<R: Read> Source<R> {
         }
     }
 
-    /// SHA-256 over all bytes of the data, those after what was consumed among them.
-    pub(super) fn sha256(mut self) -> Result<[u8; 32], FormatError> {
+    /// Reads to the end, for the hash and the limit.
+    fn drain(&mut self) -> Result<(), FormatError> {
         loop {
             self.start = self.end;
             if self.fill()? == 0 {
-                return Ok(self.hash.finalize().into());
+                return Ok(());
             }
         }
+    }
+
+    /// SHA-256 over all bytes of the data, those after what was consumed among them.
+    pub(super) fn sha256(mut self) -> Result<[u8; 32], FormatError> {
+        self.drain()?;
+        Ok(self.hash.finalize().into())
     }
 
     /// Reads once more; 0 at the end of the data.
@@ -214,7 +253,7 @@ impl<R: Read> Source<R> {
             room = room.min(usize::try_from(left).unwrap_or(usize::MAX));
         }
         let got = loop {
-            match self.inner.read(&mut self.buffer[self.end..self.end + room]) {
+            match self.input.read(&mut self.buffer[self.end..self.end + room]) {
                 Err(e) if e.kind() == ErrorKind::Interrupted => {}
                 other => break other?,
             }

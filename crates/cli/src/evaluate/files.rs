@@ -127,9 +127,7 @@ impl FileKind {
     fn takes(self, path: &Path) -> bool {
         match self {
             // Meshes are read as clouds, too, but lie beside the clouds made of them.
-            Self::Cloud => {
-                Format::from_extension(path).is_some_and(|f| !matches!(f, Format::Off | Format::Obj))
-            }
+            Self::Cloud => Format::from_extension(path).is_some_and(Format::is_written),
             Self::Mesh => path
                 .extension()
                 .is_some_and(|e| e.eq_ignore_ascii_case("ply") || e.eq_ignore_ascii_case("off")),

@@ -7,10 +7,87 @@
 mod read;
 mod write;
 
+use std::fmt;
+use std::io::Write;
+
 use ::e57::RecordName;
 
-pub(super) use read::{MAGIC, open, read};
-pub(super) use write::{encode, not_held};
+use super::kind::{Choices, Kind, Mark, Opened, Rows};
+use super::source::Source;
+use super::{Format, FormatError, Limits};
+use densecloud_cloud::{Attribute, Origin, Position};
+
+/// E57, which has no choices.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct E57;
+
+impl Kind for E57 {
+    const MARK: Mark = Mark::Bytes(|head| head.starts_with(b"ASTM-E57"));
+    const BEGINNING: Option<&'static str> = Some("`ASTM-E57`");
+    const MEDIA_TYPES: &'static [&'static str] = &["model/e57"];
+
+    fn from_extension(extension: &str) -> Option<Self> {
+        (extension == "e57").then_some(Self)
+    }
+
+    fn from_media_type(media_type: &str) -> Option<Self> {
+        (media_type == "model/e57").then_some(Self)
+    }
+
+    fn open(source: &mut Source<'_>, limits: Limits) -> Result<Opened, FormatError> {
+        Ok(Opened { header: read::open(source)?, points: Box::new(read::E57Points::new(limits)) })
+    }
+}
+
+impl Choices for E57 {
+    fn media_type(&self) -> &'static str {
+        "model/e57"
+    }
+
+    fn of_result(&self, _input: Format, _names: bool) -> Format {
+        Format::E57
+    }
+
+    fn not_held(&self, attributes: &[Attribute], origin: &Origin) -> Vec<String> {
+        let mut lost = write::not_held(attributes);
+        lost.extend(origin.extra.iter().flat_map(|extra| extra.lost_elsewhere()));
+        lost
+    }
+
+    fn is_packed(&self) -> bool {
+        true
+    }
+
+    fn is_streamed(&self) -> bool {
+        false
+    }
+
+    fn begin(
+        &self,
+        _points: u64,
+        _attributes: &[Attribute],
+        _origin: &Origin,
+    ) -> Result<(Vec<u8>, Box<dyn Rows>), FormatError> {
+        Err(FormatError::not_streamed(self))
+    }
+
+    fn encode(
+        &self,
+        sink: &mut dyn Write,
+        positions: &[Position],
+        attributes: &[Attribute],
+        origin: &Origin,
+    ) -> Result<(), FormatError> {
+        std::io::copy(&mut write::encode(positions, attributes, origin)?, sink)?;
+        Ok(())
+    }
+}
+
+impl fmt::Display for E57 {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("E57")
+    }
+}
 
 /// The extension of surface normals, and its address.
 const NORMALS: (&str, &str) = ("nor", "http://www.libe57.org/E57_NOR_surface_normals.txt");

@@ -1,25 +1,24 @@
 //! Scans to one cloud.
 
-use std::io::{Cursor, Read};
+use std::io::{self, Seek};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use ::e57::{E57Reader, PointCloud, Record, RecordDataType, RecordName, RecordValue, Transform};
 
+use super::super::columns::MAX_COLUMNS;
+use super::super::reader::{Block, ColumnName, Ending, Points};
 use super::super::source::Source;
-use super::super::xyz::MAX_COLUMNS;
+use super::super::spool::Spool;
 use super::super::{Format, FormatError, Header, Limits, Place};
 use super::{NORMALS, SCAN, STANDARD, untag};
 use densecloud_cloud::{Attribute, Cloud, Kind, Position, Values};
-
-/// What every file begins with.
-pub(in super::super) const MAGIC: &[u8] = b"ASTM-E57";
 
 /// Bytes of the header of a file.
 const HEADER: usize = 48;
 
 /// What is known before the points are read: next to nothing, since the description is the last part of a
 /// file.
-pub(in super::super) fn open<R: Read>(source: &mut Source<R>) -> Result<Header, FormatError> {
+pub(super) fn open(source: &mut Source<'_>) -> Result<Header, FormatError> {
     let found = source.peek(HEADER)?.len();
     if found < HEADER {
         return Err(FormatError::truncated(Place::Byte(found as u64), "the E57 header is incomplete"));
@@ -27,38 +26,66 @@ pub(in super::super) fn open<R: Read>(source: &mut Source<R>) -> Result<Header, 
     Ok(Header { format: Format::E57, points: None, attributes: Vec::new(), dropped_properties: Vec::new() })
 }
 
-/// Reads all scans. The whole file is held, since its description comes last.
-pub(in super::super) fn read<R: Read>(source: &mut Source<R>, limits: Limits) -> Result<Cloud, FormatError> {
-    let bytes = source.rest()?;
-    let end = Place::Byte(bytes.len() as u64);
-    let word = |from: usize| {
-        let mut word = [0; 8];
-        word.copy_from_slice(&bytes[from..from + 8]);
-        u64::from_le_bytes(word)
-    };
+/// The points of all scans, all at once: only the last of them tells how an attribute is best stored.
+pub(super) struct E57Points {
+    limits: Limits,
+    /// Once they are read.
+    ending: Option<Ending>,
+}
+
+impl E57Points {
+    pub(super) fn new(limits: Limits) -> Self {
+        Self { limits, ending: None }
+    }
+}
+
+impl Points for E57Points {
+    fn append(&mut self, source: &mut Source<'_>, _rows: usize, to: &mut Block) -> Result<(), FormatError> {
+        if self.ending.is_some() {
+            return Ok(());
+        }
+        let cloud = read(source.stored()?, self.limits)?;
+        let (names, values) = cloud.attributes.into_iter().map(|a| (a.name, a.values)).unzip();
+        *to = Block { positions: cloud.positions, columns: values };
+        let names: Vec<String> = names;
+        let columns = names.into_iter().zip(&to.columns);
+        let columns = columns.map(|(name, column)| Some(ColumnName { name, kind: column.kind() })).collect();
+        let (dropped_properties, origin) = (cloud.dropped_properties, cloud.origin);
+        self.ending = Some(Ending { columns, dropped_properties, origin });
+        Ok(())
+    }
+
+    fn finish(self: Box<Self>, _source: &mut Source<'_>) -> Result<Ending, FormatError> {
+        Ok(self.ending.unwrap_or_else(|| Ending::of_text(std::iter::empty())))
+    }
+}
+
+fn read(mut file: Spool, limits: Limits) -> Result<Cloud, FormatError> {
+    let end = Place::Byte(file.len());
     // As much is reserved.
-    if word(32) > bytes.len() as u64 {
+    if file.number::<8>(32)?.is_none_or(|length| length > file.len()) {
         return Err(FormatError::truncated(end, "the description should be longer than the file"));
     }
     // Files are made to break readers, and this one is not ours.
-    catch_unwind(AssertUnwindSafe(|| decode(bytes, end, limits)))
+    catch_unwind(AssertUnwindSafe(|| decode(file, end, limits)))
         .unwrap_or_else(|_| Err(FormatError::malformed(end, "the E57 file contradicts itself")))
 }
 
-fn decode(bytes: Vec<u8>, end: Place, limits: Limits) -> Result<Cloud, FormatError> {
-    let length = bytes.len() as u64;
+fn decode(mut file: Spool, end: Place, limits: Limits) -> Result<Cloud, FormatError> {
     let bad = |why: ::e57::Error| {
         FormatError::malformed(end, format!("not a readable E57 file: {}", reasons(&why)))
     };
-    let mut reader = E57Reader::new(Cursor::new(bytes.as_slice())).map_err(bad)?;
-    let scans = reader.pointclouds();
-    check(&scans, length, limits).map_err(|why| match why {
+    file.rewind()?;
+    let scans = E57Reader::new(&mut file).map_err(bad)?.pointclouds();
+    check(&scans, file.len(), limits).map_err(|why| match why {
         Refusal::TooMany(error) => error,
         Refusal::Contradiction(why) => FormatError::malformed(end, why),
     })?;
     for scan in &scans {
-        check_packets(&bytes, scan).map_err(|why| FormatError::malformed(end, why))?;
+        check_packets(&mut file, scan)?.map_err(|why| FormatError::malformed(end, why))?;
     }
+    file.rewind()?;
+    let mut reader = E57Reader::new(file).map_err(bad)?;
     let mut cloud = Cloud::default();
     let mut columns: Vec<Column> = Vec::new();
     let mut invalid = 0_u64;
@@ -196,45 +223,50 @@ const MOST_AHEAD: u64 = 4_000_000;
 
 /// Refuses a scan some of whose columns are far ahead of others: they are decoded, and held, up to the
 /// last. What else is wrong is left to the crate.
-fn check_packets(bytes: &[u8], scan: &PointCloud) -> Result<(), String> {
+fn check_packets(file: &mut Spool, scan: &PointCloud) -> io::Result<Result<(), String>> {
     let logical = |physical: u64| physical - physical / PAGE.0 * (PAGE.0 - PAGE.1);
-    let byte = |at: u64| {
-        let physical = at / PAGE.1 * PAGE.0 + at % PAGE.1;
-        bytes.get(usize::try_from(physical).ok()?).map(|byte| u64::from(*byte))
-    };
-    let number = |at: u64, size: u64| {
-        (0..size).try_fold(0, |sum: u64, i| Some(sum | byte(at.checked_add(i)?)? << (8 * i)))
+    let mut byte = |at: u64| file.number::<1>(at / PAGE.1 * PAGE.0 + at % PAGE.1);
+    let mut number = |at: u64, size: u64| -> io::Result<Option<u64>> {
+        let mut sum = 0;
+        for i in 0..size {
+            let Some(at) = at.checked_add(i) else { return Ok(None) };
+            let Some(byte) = byte(at)? else { return Ok(None) };
+            sum |= byte << (8 * i);
+        }
+        Ok(Some(sum))
     };
     let sizes: Vec<u64> = scan.prototype.iter().map(|record| bits_of(&record.data_type)).collect();
     let mut bits = vec![0_u64; sizes.len()];
-    let Some(data) = number(logical(scan.file_offset).saturating_add(16), 8) else { return Ok(()) };
+    let Some(data) = number(logical(scan.file_offset).saturating_add(16), 8)? else { return Ok(Ok(())) };
     let mut at = logical(data);
     loop {
         let counts =
             || bits.iter().zip(&sizes).filter(|(_, size)| **size > 0).map(|(bits, size)| bits / size);
         let least = counts().min().unwrap_or(0);
         if least >= scan.records {
-            return Ok(());
+            return Ok(Ok(()));
         }
         if counts().map(|count| count - least).sum::<u64>() > MOST_AHEAD {
-            return Err("the columns of a scan are of different lengths".into());
+            return Ok(Err("the columns of a scan are of different lengths".into()));
         }
-        let (Some(kind), Some(length)) = (number(at, 1), number(at.saturating_add(2), 2)) else {
-            return Ok(());
+        let (Some(kind), Some(length)) = (number(at, 1)?, number(at.saturating_add(2), 2)?) else {
+            return Ok(Ok(()));
         };
         at = match kind {
             0 => at.saturating_add(16 + length + 1),
             1 => {
                 let mut end = at.saturating_add(6 + 2 * sizes.len() as u64);
                 for (i, bits) in bits.iter_mut().enumerate() {
-                    let Some(bytes) = number(at.saturating_add(6 + 2 * i as u64), 2) else { return Ok(()) };
+                    let Some(bytes) = number(at.saturating_add(6 + 2 * i as u64), 2)? else {
+                        return Ok(Ok(()));
+                    };
                     *bits += 8 * bytes;
                     end = end.saturating_add(bytes);
                 }
                 end
             }
             2 => at.saturating_add(4 + length + 1),
-            _ => return Ok(()),
+            _ => return Ok(Ok(())),
         };
         at = at.saturating_add(3) & !3;
     }

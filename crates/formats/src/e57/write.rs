@@ -1,6 +1,6 @@
 //! A cloud to scans.
 
-use std::io::Cursor;
+use std::io::Seek;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use ::e57::{
@@ -10,7 +10,8 @@ use ::e57::{
 use sha2::{Digest, Sha256};
 
 use super::super::FormatError;
-use super::super::xyz::MAX_COLUMNS;
+use super::super::columns::MAX_COLUMNS;
+use super::super::spool::Spool;
 use super::{NORMALS, OURS, SCAN, STANDARD, tag};
 use densecloud_cloud::{Attribute, Origin, Position, Values, each_kind};
 
@@ -23,31 +24,34 @@ struct Column<'a> {
 }
 
 /// Names of the attributes that the format cannot hold: 64-bit integers too far apart for its own.
-pub(in super::super) fn not_held(attributes: &[Attribute]) -> Vec<String> {
+pub(super) fn not_held(attributes: &[Attribute]) -> Vec<String> {
     let cannot = |(i, a): &(usize, &Attribute)| *i >= MAX_COLUMNS || data_type(&a.values).is_none();
     attributes.iter().enumerate().filter(cannot).map(|(_, a)| a.name.clone()).collect()
 }
 
-/// The file as bytes. An attribute `scan` that numbers the points' scans from 0 splits them into scans
+/// The file, from its beginning. An attribute `scan` that numbers the points' scans from 0 splits them into scans
 /// again; a single scan stands where its sensor stood.
 ///
 /// # Errors
 /// None that a cloud can cause; but the file is made by a crate that has some.
-pub(in super::super) fn encode(
+pub(super) fn encode(
     positions: &[Position],
     attributes: &[Attribute],
     origin: &Origin,
-) -> Result<Vec<u8>, FormatError> {
+) -> Result<Spool, FormatError> {
     let made = catch_unwind(AssertUnwindSafe(|| write(positions, attributes, origin)));
     let why = match made {
-        Ok(Ok(bytes)) => return Ok(bytes),
+        Ok(Ok(mut file)) => {
+            file.rewind()?;
+            return Ok(file);
+        }
         Ok(Err(error)) => error.to_string(),
         Err(_) => "numbers that it has no place for".to_owned(),
     };
     Err(std::io::Error::other(format!("the cloud cannot be written as E57: {why}")).into())
 }
 
-fn write(positions: &[Position], attributes: &[Attribute], origin: &Origin) -> Result<Vec<u8>, ::e57::Error> {
+fn write(positions: &[Position], attributes: &[Attribute], origin: &Origin) -> Result<Spool, ::e57::Error> {
     let scan = attributes.iter().find(|a| a.name == SCAN).and_then(|a| Some((a, scans(&a.values)?)));
     let rest: Vec<&Attribute> =
         attributes.iter().filter(|a| scan.is_none_or(|(s, _)| a.name != s.name)).collect();
@@ -55,7 +59,7 @@ fn write(positions: &[Position], attributes: &[Attribute], origin: &Origin) -> R
     let prototype: Vec<Record> = axes().into_iter().chain(columns.iter().map(|c| c.record.clone())).collect();
 
     let hash = content_hash(positions, attributes, origin);
-    let mut file = Cursor::new(Vec::new());
+    let mut file = Spool::new();
     let mut writer = E57Writer::new(&mut file, &guid(&hash, 0))?;
     writer.set_coordinate_metadata(origin.crs.as_ref().map(|crs| character_data(&crs.to_string())));
     for (namespace, url) in [NORMALS, OURS] {
@@ -92,7 +96,7 @@ fn write(positions: &[Position], attributes: &[Attribute], origin: &Origin) -> R
     }
     writer.finalize()?;
     drop(writer);
-    Ok(file.into_inner())
+    Ok(file)
 }
 
 fn axes() -> [Record; 3] {

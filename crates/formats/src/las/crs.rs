@@ -1,8 +1,8 @@
 //! The coordinate reference system: well-known text, or the keys of GeoTIFF.
 
-use super::read::number;
-use super::records::{MOST, cut, text};
-use densecloud_cloud::{Crs, LasRecord};
+use super::LasRecord;
+use super::records::{MOST, cut, number, text};
+use densecloud_cloud::Crs;
 
 const USER: &str = "LASF_Projection";
 

@@ -5,10 +5,107 @@
 //! the first of those after the points.
 
 mod crs;
+mod extra;
 mod layout;
+mod origin;
+mod plan;
 mod read;
 mod records;
 mod write;
 
-pub(super) use read::{open, read};
-pub(super) use write::encode;
+use std::fmt;
+use std::io::Write;
+
+use super::kind::{Choices, Kind, Mark, Opened, Rows};
+use super::source::Source;
+use super::{Format, FormatError, Limits};
+use densecloud_cloud::{Attribute, Origin, Position};
+
+pub(super) use origin::{LasExtra, LasOrigin, LasRecord};
+
+/// LAS with its choices made.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Las {
+    pub(crate) compressed: bool,
+}
+
+impl Kind for Las {
+    const MARK: Mark = Mark::Bytes(|head| head.starts_with(b"LASF"));
+    const BEGINNING: Option<&'static str> = Some("`LASF`");
+    const MEDIA_TYPES: &'static [&'static str] = &["application/vnd.las", "application/vnd.laszip"];
+
+    fn from_extension(extension: &str) -> Option<Self> {
+        matches!(extension, "las" | "laz").then_some(Self { compressed: extension == "laz" })
+    }
+
+    fn from_media_type(media_type: &str) -> Option<Self> {
+        match media_type {
+            "application/vnd.las" => Self::from_extension("las"),
+            "application/vnd.laszip" => Self::from_extension("laz"),
+            _ => None,
+        }
+    }
+
+    fn open(source: &mut Source<'_>, limits: Limits) -> Result<Opened, FormatError> {
+        Ok(Opened { header: read::open(source, limits)?, points: Box::new(read::LasPoints::default()) })
+    }
+}
+
+impl Choices for Las {
+    fn media_type(&self) -> &'static str {
+        if self.compressed { "application/vnd.laszip" } else { "application/vnd.las" }
+    }
+
+    fn of_result(&self, _input: Format, _names: bool) -> Format {
+        (*self).into()
+    }
+
+    fn not_held(&self, _attributes: &[Attribute], origin: &Origin) -> Vec<String> {
+        let mut lost = Vec::new();
+        if LasOrigin::of(origin).is_some_and(|las| las.is_indexed) {
+            lost.push("the index of the points (COPC or LAX)".to_owned());
+        }
+        if origin.sensor.is_some() {
+            lost.push("the sensor's place".to_owned());
+        }
+        lost
+    }
+
+    fn is_packed(&self) -> bool {
+        self.compressed
+    }
+
+    fn is_streamed(&self) -> bool {
+        false
+    }
+
+    /// Each record has fields that the cloud need not have.
+    fn bytes_a_point(&self, position: u64, attributes: u64) -> u64 {
+        position + attributes + 24
+    }
+
+    fn begin(
+        &self,
+        _points: u64,
+        _attributes: &[Attribute],
+        _origin: &Origin,
+    ) -> Result<(Vec<u8>, Box<dyn Rows>), FormatError> {
+        Err(FormatError::not_streamed(self))
+    }
+
+    fn encode(
+        &self,
+        sink: &mut dyn Write,
+        positions: &[Position],
+        attributes: &[Attribute],
+        origin: &Origin,
+    ) -> Result<(), FormatError> {
+        write::encode(*self, sink, positions, attributes, origin)
+    }
+}
+
+impl fmt::Display for Las {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(if self.compressed { "LAZ" } else { "LAS" })
+    }
+}

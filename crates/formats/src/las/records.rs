@@ -1,46 +1,66 @@
 //! The variable length records, before the points and after them.
 
+use std::io;
+
 use las::Vlr;
 
-use super::read::number;
-use densecloud_cloud::{LasRecord, Origin};
+use super::super::spool::Spool;
+use super::LasRecord;
+use densecloud_cloud::Origin;
 
 /// Most bytes in a record before the points.
 pub(super) const MOST: usize = u16::MAX as usize;
 
+/// Where the records are.
+pub(super) struct Places {
+    /// Of those before the points: the first, and how many the header counts.
+    pub(super) before: (u64, u64),
+    /// Of those after the points.
+    pub(super) after: Option<(u64, u64)>,
+}
+
 /// All records of a file. A header may count more than there are; those that end early are none.
-pub(super) fn records(bytes: &[u8]) -> Vec<LasRecord> {
+pub(super) fn records(file: &mut Spool, places: &Places) -> io::Result<Vec<LasRecord>> {
     let mut all = Vec::new();
-    let mut follow = |mut at: usize, count: u64, is_extended: bool| {
+    let after = places.after.map(|place| (place, true));
+    for ((mut at, count), is_extended) in [(places.before, false)].into_iter().chain(after) {
         for _ in 0..count {
-            let Some((record, end)) = record(bytes, at, is_extended) else { break };
+            let Some((record, end)) = record(file, at, is_extended)? else { break };
             all.push(record);
             at = end;
         }
-    };
-    follow(number::<2>(bytes, 94) as usize, number::<4>(bytes, 100), false);
-    if (bytes[24], bytes[25]) >= (1, 4) && bytes.len() >= 247 {
-        let start = usize::try_from(number::<8>(bytes, 235)).unwrap_or(usize::MAX);
-        follow(start, number::<4>(bytes, 243), true);
     }
-    all
+    Ok(all)
 }
 
 /// The record at a place, and where it ends.
-fn record(bytes: &[u8], at: usize, is_extended: bool) -> Option<(LasRecord, usize)> {
-    let length = if is_extended { 60 } else { 54 };
-    let from = at.checked_add(length)?;
-    let head = bytes.get(at..from)?;
+fn record(file: &mut Spool, at: u64, is_extended: bool) -> io::Result<Option<(LasRecord, u64)>> {
+    let mut head = [0; 60];
+    let head = &mut head[..if is_extended { 60 } else { 54 }];
+    if !file.read_at(at, head)? {
+        return Ok(None);
+    }
     let length = if is_extended { number::<8>(head, 20) } else { number::<2>(head, 20) };
-    let end = from.checked_add(usize::try_from(length).ok()?)?;
+    // What was read lies within the file.
+    let from = at + head.len() as u64;
+    let Some(end) = from.checked_add(length).filter(|end| *end <= file.len()) else { return Ok(None) };
+    let mut data = vec![0; usize::try_from(length).map_err(io::Error::other)?];
+    file.read_at(from, &mut data)?;
     let record = LasRecord {
         user_id: text(&head[2..18]),
         id: number::<2>(head, 18) as u16,
         description: text(&head[head.len() - 32..]),
-        data: bytes.get(from..end)?.to_vec(),
+        data,
         is_extended,
     };
-    Some((record, end))
+    Ok(Some((record, end)))
+}
+
+/// A little-endian number of `N` bytes at `from`.
+pub(super) fn number<const N: usize>(bytes: &[u8], from: usize) -> u64 {
+    let mut word = [0; 8];
+    word[..N].copy_from_slice(&bytes[from..from + N]);
+    u64::from_le_bytes(word)
 }
 
 /// The text before the first NUL.

@@ -1,372 +1,156 @@
-//! Writing, as a whole: a header counts the points and their returns, and LAZ ends with a table.
+//! Writing: the header counts the points and their returns, and LAZ ends with a table that its beginning refers to.
 
-use std::borrow::Cow;
-use std::io::Cursor;
+use std::io::{Cursor, Seek, Write};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
-use las::point::Format;
-use las::{Builder, PointDataBuilder, Transform, Vector, Writer};
+use las::{Builder, Header, PointDataBuilder, Vector, Writer};
 
 use super::super::FormatError;
-use super::crs;
-use super::layout::{self, Field};
-use super::read::{ENTRY, KINDS, scale};
-use super::records::{MOST, cut, provenance, text, to_vlr};
-use densecloud_cloud::{Attribute, LasOrigin, LasRecord, Origin, Position, Values, each_kind};
+use super::super::spool::Spool;
+use super::Las;
+use super::plan::{Plan, failed};
+use super::records::{number, to_vlr};
+use densecloud_cloud::{Attribute, Origin, Position};
 
-/// Points encoded at a time.
-const BLOCK: usize = 1 << 16;
+/// Most points encoded at a time, and most bytes of them, whatever a point has.
+const BLOCK: (usize, usize) = (1 << 16, 1 << 22);
 
-/// Steps from an offset that are surely written: the crate rounds the bounds outwards, by less than the rest.
-const FARTHEST: f64 = 2_147_483_600.0;
+/// Bytes of the header up to the end of the bounds.
+const HEAD: usize = 227;
 
-/// A cloud as a file. What comes from LAS keeps its version, point format, scale, offset and records; else
-/// it is version 1.4, and scale and offset are those of [`transform`].
+/// Writes a cloud. What comes from LAS keeps its version, point format, scale, offset and records; else
+/// it is version 1.4, and scale and offset are those of [`Plan`].
+///
+/// LAS is written as it is encoded; LAZ as a whole first, into a [`Spool`].
 ///
 /// # Errors
-/// A coordinate is no number, or a point's attributes do not fit into 64 KiB.
-pub(in super::super) fn encode(
+/// The sink fails, a coordinate is no number, or a point's attributes do not fit into 64 KiB.
+pub(super) fn encode(
+    las: Las,
+    sink: &mut dyn Write,
     positions: &[Position],
     attributes: &[Attribute],
     origin: &Origin,
-    compressed: bool,
-) -> Result<Vec<u8>, FormatError> {
+) -> Result<(), FormatError> {
     let mut plan = Plan::new(positions, attributes, origin)?;
-    plan.format.is_compressed = compressed;
+    plan.format.is_compressed = las.compressed;
+    let write = if las.compressed { write_packed } else { write_plain };
     // A fault of another's code should be an answer, not the end of the program.
-    catch_unwind(AssertUnwindSafe(|| plan.write(positions)))
+    catch_unwind(AssertUnwindSafe(|| write(plan, sink, positions)))
         .unwrap_or_else(|_| Err(FormatError::NotWritten("the LAS writer failed".into())))
 }
 
-/// What goes where.
-struct Plan<'a> {
-    las: Cow<'a, LasOrigin>,
-    format: Format,
-    minor: u8,
-    axes: [Transform; 3],
-    columns: Vec<Column<'a>>,
-    records: Vec<LasRecord>,
-}
-
-struct Column<'a> {
-    place: Spot,
-    values: Cow<'a, Values>,
-}
-
-enum Spot {
-    Field(Field),
-    /// From this byte of the row on.
-    Extra(usize),
-}
-
-impl<'a> Plan<'a> {
-    fn new(
-        positions: &[Position],
-        attributes: &'a [Attribute],
-        origin: &'a Origin,
-    ) -> Result<Self, FormatError> {
-        let las = match &origin.las {
-            Some(las) => Cow::Borrowed(las.as_ref()),
-            None => Cow::Owned(fresh(attributes, origin)),
-        };
-        let mut format = Format::new(las.point_format).map_err(failed)?;
-        format.has_waveform = false;
-        let mut records = las.records.clone();
-        if crs::read(&records) != origin.crs {
-            records.retain(|record| !record.is_crs());
-            records.extend(origin.crs.iter().flat_map(crs::write));
-        }
-        records.extend(provenance(origin));
-
-        let fields = layout::fields(format);
-        let mut free = fields.clone();
-        let (mut columns, mut others) = (Vec::new(), Vec::new());
-        for attribute in attributes {
-            let values = widened(attribute);
-            let field = free.iter().position(|f| f.name == attribute.name && f.holds(&values));
-            match field {
-                Some(i) => columns.push(Column { place: Spot::Field(free.swap_remove(i)), values }),
-                None => others.push(attribute),
-            }
-        }
-        // A return that nothing is known of is the only one; there is no return 0.
-        for field in free.into_iter().filter(|f| matches!(f.name, "return_number" | "number_of_returns")) {
-            let ones = Values::U8(vec![1; positions.len()]);
-            columns.push(Column { place: Spot::Field(field), values: Cow::Owned(ones) });
-        }
-        let mut at = usize::from(format.len());
-        let mut entries = Vec::new();
-        for attribute in others {
-            let (entry, values) = described(attribute, &las, &fields, &entries);
-            entries.push(entry);
-            let size = values.kind().size();
-            columns.push(Column { place: Spot::Extra(at), values });
-            at += size;
-        }
-        let extra = at - usize::from(format.len());
-        if at > usize::from(u16::MAX) {
-            return Err(FormatError::NotWritten(format!("{extra} bytes of attributes a point are too many")));
-        }
-        // `extra` is less than `at`.
-        format.extra_bytes = extra as u16;
-        if !entries.is_empty() {
-            records.push(LasRecord {
-                user_id: "LASF_Spec".to_owned(),
-                id: 4,
-                description: "extra bytes".to_owned(),
-                data: entries.concat(),
-                is_extended: false,
-            });
-        }
-        let needs_latest = format.is_extended
-            || records.iter().any(|record| record.data.len() > MOST)
-            // Older headers count five returns, though three bits hold seven.
-            || columns.iter().any(|c| c.is("return_number") && (0..c.values.len()).any(|i| c.values.get(i) > 5.0));
-        let minor = if needs_latest { 4 } else { las.version.1.clamp(2, 4) };
-        let axes = transforms(positions, &las)?;
-        Ok(Self { las, format, minor, axes, columns, records })
+fn write_plain(mut plan: Plan<'_>, sink: &mut dyn Write, positions: &[Position]) -> Result<(), FormatError> {
+    let encoding = plan.encoding();
+    let header = header(&mut plan)?;
+    // A file without points: the header and the records, and behind them those that are to follow the points.
+    let mut bare = Writer::new(Cursor::new(Vec::new()), header).map_err(failed)?;
+    bare.close().map_err(failed)?;
+    let mut before = bare.into_inner().map_err(failed)?.into_inner();
+    let after = before.split_off(number::<4>(&before, 96) as usize);
+    patch(&mut before, &plan, encoding);
+    count(&mut before, &plan, positions.len() as u64)?;
+    sink.write_all(&before)?;
+    let stride = usize::from(plan.format.len());
+    let mut rows = Vec::new();
+    let mut from = 0;
+    for part in positions.chunks(block(stride)) {
+        rows.resize(part.len() * stride, 0);
+        plan.fill(&mut rows, stride, part, from);
+        sink.write_all(&rows)?;
+        from += part.len();
     }
-
-    fn write(mut self, positions: &[Position]) -> Result<Vec<u8>, FormatError> {
-        let mut builder = Builder::from((1, self.minor));
-        builder.generating_software = concat!("densecloud ", env!("CARGO_PKG_VERSION")).to_owned();
-        builder.point_format = self.format;
-        let [x, y, z] = self.axes;
-        builder.transforms = Vector { x, y, z };
-        let encoding = self.encoding();
-        for record in std::mem::take(&mut self.records) {
-            let list = if record.is_extended { &mut builder.evlrs } else { &mut builder.vlrs };
-            list.push(to_vlr(record));
-        }
-        let header = builder.into_header().map_err(failed)?;
-        let mut block = PointDataBuilder::new().for_header(&header).build();
-        let stride = block.record_len();
-        let mut writer = Writer::new(Cursor::new(Vec::new()), header).map_err(failed)?;
-        let mut reach: [Option<(i32, i32)>; 3] = [None; 3];
-        for (i, part) in positions.chunks(BLOCK).enumerate() {
-            let rows = block.resize_for(part.len());
-            rows.fill(0);
-            for (row, position) in rows.chunks_exact_mut(stride).zip(part) {
-                for (i, place) in row[..12].chunks_exact_mut(4).enumerate() {
-                    let axis = self.axes[i];
-                    // `as` saturates; the offset was chosen so that it need not.
-                    let steps = ((position[i] - axis.offset) / axis.scale).round() as i32;
-                    place.copy_from_slice(&steps.to_le_bytes());
-                    let (least, most) = reach[i].unwrap_or((steps, steps));
-                    reach[i] = Some((least.min(steps), most.max(steps)));
-                }
-            }
-            for column in &self.columns {
-                column.put(rows, stride, i * BLOCK);
-            }
-            writer.write_points(&block).map_err(failed)?;
-        }
-        let mut bytes = writer.into_inner().map_err(failed)?.into_inner();
-        patch(&mut bytes, &self.las, encoding, self.format.is_extended);
-        for (i, axis) in self.axes.iter().enumerate() {
-            let bounds = reach[i].map_or([0.0; 2], |(least, most)| [most, least].map(|n| axis.direct(n)));
-            bytes[179 + 16 * i..195 + 16 * i].copy_from_slice(&bounds.map(f64::to_le_bytes).concat());
-        }
-        Ok(bytes)
-    }
-
-    /// The source's global encoding, where that is still true.
-    fn encoding(&self) -> u16 {
-        const WKT: u16 = 16;
-        /// Where waveforms are.
-        const WAVEFORMS: u16 = 2 | 4;
-        let [had, has] = [&self.las.records, &self.records].map(|r| r.iter().any(crs::is_wkt_record));
-        let encoding = self.las.global_encoding & !WAVEFORMS;
-        match (had, has) {
-            (true, false) => encoding & !WKT,
-            (_, true) if self.minor == 4 && (!had || self.format.is_extended) => encoding | WKT,
-            _ => encoding,
-        }
-    }
+    Ok(sink.write_all(&after)?)
 }
 
-fn failed(why: las::Error) -> FormatError {
-    FormatError::NotWritten(why.to_string())
+fn write_packed(mut plan: Plan<'_>, sink: &mut dyn Write, positions: &[Position]) -> Result<(), FormatError> {
+    let encoding = plan.encoding();
+    let header = header(&mut plan)?;
+    let mut rows = PointDataBuilder::new().for_header(&header).build();
+    let stride = rows.record_len();
+    let mut writer = Writer::new(Spool::new(), header).map_err(failed)?;
+    let mut from = 0;
+    for part in positions.chunks(block(stride)) {
+        plan.fill(rows.resize_for(part.len()), stride, part, from);
+        writer.write_points(&rows).map_err(failed)?;
+        from += part.len();
+    }
+    let mut file = writer.into_inner().map_err(failed)?;
+    let mut head = [0; HEAD];
+    file.read_at(0, &mut head)?;
+    patch(&mut head, &plan, encoding);
+    file.rewind()?;
+    file.write_all(&head)?;
+    file.rewind()?;
+    std::io::copy(&mut file, sink)?;
+    Ok(())
 }
 
-/// What the header says that the `las` crate has other opinions of, or none. The bounds are another such
-/// thing: the crate rounds those of the points outwards once more.
-fn patch(bytes: &mut [u8], las: &LasOrigin, encoding: u16, is_extended: bool) {
-    let mut put = |at: usize, word: &[u8]| bytes[at..at + word.len()].copy_from_slice(word);
+/// Points of `stride` bytes to encode at a time.
+fn block(stride: usize) -> usize {
+    let (points, bytes) = BLOCK;
+    (bytes / stride.max(1)).clamp(1, points)
+}
+
+/// The header as the crate has it, with the plan's records.
+fn header(plan: &mut Plan<'_>) -> Result<Header, FormatError> {
+    let mut builder = Builder::from((1, plan.minor));
+    builder.generating_software = concat!("densecloud ", env!("CARGO_PKG_VERSION")).to_owned();
+    builder.point_format = plan.format;
+    let [x, y, z] = plan.axes;
+    builder.transforms = Vector { x, y, z };
+    for record in std::mem::take(&mut plan.records) {
+        let list = if record.is_extended { &mut builder.evlrs } else { &mut builder.vlrs };
+        list.push(to_vlr(record));
+    }
+    builder.into_header().map_err(failed)
+}
+
+/// What the header says that the `las` crate has other opinions of, or none: it rounds the bounds outwards once
+/// more, for one.
+fn patch(head: &mut [u8], plan: &Plan<'_>, encoding: u16) {
+    let mut put = |at: usize, word: &[u8]| head[at..at + word.len()].copy_from_slice(word);
+    let las = &plan.las;
     put(4, &las.file_source_id.to_le_bytes());
     put(6, &encoding.to_le_bytes());
     put(8, &las.guid);
     put(26, &las.system_identifier);
     put(90, &las.created.0.to_le_bytes());
     put(92, &las.created.1.to_le_bytes());
-    if is_extended {
+    if plan.format.is_extended {
         // The counts of before version 1.4 are for the point formats of before.
         put(107, &[0; 24]);
     }
-}
-
-/// The header of a file that comes from no LAS.
-fn fresh(attributes: &[Attribute], origin: &Origin) -> LasOrigin {
-    let fits = |format: u8, name: &str| {
-        let fields = Format::new(format).map(layout::fields).unwrap_or_default();
-        let attribute = attributes.iter().find(|a| a.name == name);
-        attribute.is_some_and(|a| fields.iter().any(|f| f.name == name && f.holds(&widened(a))))
-    };
-    let has_colour = ["red", "green", "blue"].iter().all(|name| fits(8, name));
-    let point_format = match (origin.crs.as_ref().is_none_or(crs::is_wkt), has_colour, fits(8, "nir")) {
-        (true, true, true) => 8,
-        (true, true, false) => 7,
-        (true, false, _) => 6,
-        (false, true, _) => 3,
-        (false, false, _) => 1,
-    };
-    let mut system_identifier = [0; 32];
-    system_identifier[..5].copy_from_slice(b"OTHER");
-    // Seconds of a week, or, beyond those, standard time.
-    let week = 0.0..=604_800.0;
-    let is_standard = |a: &Attribute| (0..a.values.len()).any(|i| !week.contains(&a.values.get(i)));
-    let time = u16::from(attributes.iter().any(|a| a.name == "gps_time" && is_standard(a)));
-    let wkt = if point_format >= 6 { 16 } else { 0 };
-    LasOrigin {
-        version: (1, 4),
-        point_format,
-        system_identifier,
-        global_encoding: time | wkt,
-        ..LasOrigin::default()
+    for (i, axis) in plan.axes.iter().enumerate() {
+        let bounds = plan.reach.map_or([0.0; 2], |reach| [reach[i].1, reach[i].0].map(|n| axis.direct(n)));
+        put(179 + 16 * i, &bounds.map(f64::to_le_bytes).concat());
     }
 }
 
-/// An attribute's numbers as LAS has them: colours of 8 bits are stretched to 16.
-fn widened(attribute: &Attribute) -> Cow<'_, Values> {
-    match (attribute.name.as_str(), &attribute.values) {
-        ("red" | "green" | "blue", Values::U8(column)) => {
-            Cow::Owned(Values::U16(column.iter().map(|v| u16::from(*v) * 257).collect()))
-        }
-        (_, values) => Cow::Borrowed(values),
+/// Puts the number of points into a header that was made for none: at once, by return, and where they end.
+fn count(before: &mut [u8], plan: &Plan<'_>, points: u64) -> Result<(), FormatError> {
+    let short = |count: u64| u32::try_from(count).unwrap_or(0).to_le_bytes();
+    let is_latest = plan.minor >= 4;
+    if points > u64::from(u32::MAX) && !is_latest {
+        return Err(FormatError::NotWritten(format!(
+            "{points} points are too many for LAS before version 1.4"
+        )));
     }
-}
-
-/// The entry of an attribute in the record of extra bytes, and its numbers as they are stored: as in the
-/// source's file if they fit into that, else in the attribute's own type.
-fn described<'a>(
-    attribute: &'a Attribute,
-    las: &LasOrigin,
-    fields: &[Field],
-    others: &[Vec<u8>],
-) -> (Vec<u8>, Cow<'a, Values>) {
-    if let Some(extra) = las.extra.iter().find(|extra| extra.name == attribute.name)
-        && let Some(values) = stored(&attribute.values, &extra.entry)
-    {
-        return (extra.entry.clone(), values);
-    }
-    let taken = |name: &str| {
-        fields.iter().any(|f| f.name == name) || others.iter().any(|entry| text(&entry[4..36]) == name)
-    };
-    let mut name = cut(attribute.name.replace('\0', "_"), 32);
-    let mut copies = 0;
-    while taken(&name) {
-        copies += 1;
-        let end = "_".repeat(copies);
-        name = cut(attribute.name.clone(), 32_usize.saturating_sub(copies)) + &end;
-    }
-    let kind = attribute.values.kind();
-    let mut entry = vec![0; ENTRY];
-    // There are ten types.
-    entry[2] = KINDS.iter().position(|k| *k == kind).map_or(0, |i| i as u8 + 1);
-    entry[4..4 + name.len()].copy_from_slice(name.as_bytes());
-    (entry, Cow::Borrowed(&attribute.values))
-}
-
-/// An attribute's numbers as an entry says, rounded to its steps; none where they do not fit.
-fn stored<'a>(values: &'a Values, entry: &[u8]) -> Option<Cow<'a, Values>> {
-    let kind = *KINDS.get(usize::from(entry[2]).checked_sub(1)?)?;
-    let Some((scale, shift)) = scale(entry) else {
-        return (values.kind() == kind).then_some(Cow::Borrowed(values));
-    };
-    if !scale.is_normal() {
-        return None;
-    }
-    let steps = || (0..values.len()).map(|i| (values.get(i) - shift) / scale);
-    let stored = Values::from_f64(kind, steps());
-    let fits = kind.is_float() || steps().enumerate().all(|(i, step)| (stored.get(i) - step).abs() <= 0.5);
-    fits.then_some(Cow::Owned(stored))
-}
-
-/// Scale and offset of each axis: the source's where all fits. If not, the same scale about another offset;
-/// and for what does not come from LAS, 0.001 or the power of ten that is at most 1e-4 of the points'
-/// distance (the extent over the root of their number), whichever is finer. Coarser, only if 32 bits
-/// cannot hold the extent.
-fn transforms(positions: &[Position], las: &LasOrigin) -> Result<[Transform; 3], FormatError> {
-    let mut bounds = [(0.0, 0.0); 3];
-    for (axis, bounds) in bounds.iter_mut().enumerate() {
-        let along = || positions.iter().map(|p| p[axis]);
-        if let Some(bad) = along().find(|v| !v.is_finite()) {
-            return Err(FormatError::NotWritten(format!("LAS has no coordinate {bad}")));
-        }
-        if !positions.is_empty() {
-            *bounds = (along().fold(f64::INFINITY, f64::min), along().fold(f64::NEG_INFINITY, f64::max));
+    let returns = plan.returns();
+    let (data, follow) = (before.len() as u64, if is_latest { number::<4>(before, 243) } else { 0 });
+    let mut put = |at: usize, word: &[u8]| before[at..at + word.len()].copy_from_slice(word);
+    if !plan.format.is_extended {
+        put(107, &short(points));
+        for (i, count) in returns.iter().take(5).enumerate() {
+            put(111 + 4 * i, &short(*count));
         }
     }
-    let extents = bounds.map(|(min, max)| max - min);
-    let largest = extents.into_iter().fold(0.0, f64::max);
-    if !largest.is_finite() {
-        return Err(FormatError::NotWritten("the cloud is too large for LAS".into()));
-    }
-    let mut chosen = [Transform::default(); 3];
-    for (axis, transform) in chosen.iter_mut().enumerate() {
-        let (min, max) = bounds[axis];
-        let fits = |t: Transform| [min, max].iter().all(|v| ((v - t.offset) / t.scale).abs() < FARTHEST);
-        let (mut scale, offset) = (las.scale[axis], las.offset[axis]);
-        let is_usable = scale.is_normal() && scale > 0.0;
-        if is_usable && offset.is_finite() && fits(Transform { scale, offset }) {
-            *transform = Transform { scale, offset };
-            continue;
+    if is_latest {
+        if follow > 0 {
+            put(235, &(data + points * u64::from(plan.format.len())).to_le_bytes());
         }
-        if !is_usable {
-            // A flat cloud lies at a height that is worth as much as its breadth.
-            let extent = if extents[axis] > 0.0 { extents[axis] } else { largest };
-            scale = resolution(extent, min.abs().max(max.abs()), positions.len());
-        }
-        let centre = min / 2.0 + max / 2.0;
-        *transform = std::iter::successors(Some(scale), |scale| Some(scale * 10.0))
-            .take_while(|scale| scale.is_finite())
-            .flat_map(|scale| {
-                [1.0, scale].map(|unit| Transform { scale, offset: (centre / unit).floor() * unit })
-            })
-            .find(|t| fits(*t))
-            .ok_or_else(|| FormatError::NotWritten("the cloud is too large for LAS".into()))?;
+        put(247, &points.to_le_bytes());
+        put(255, &returns.map(u64::to_le_bytes).concat());
     }
-    Ok(chosen)
-}
-
-/// The step for coordinates of this extent, not finer than doubles are about `farthest`.
-fn resolution(extent: f64, farthest: f64, points: usize) -> f64 {
-    let spacing = extent / (points as f64).sqrt();
-    let step = (1e-4 * spacing).min(1e-3).max(1e-15 * farthest);
-    if step == 0.0 {
-        return 1e-3;
-    }
-    // Decimals are parsed exactly; powers are not.
-    format!("1e{}", step.log10().floor()).parse().unwrap_or(1e-3)
-}
-
-impl Column<'_> {
-    fn is(&self, name: &str) -> bool {
-        matches!(&self.place, Spot::Field(field) if field.name == name)
-    }
-
-    /// Puts the numbers from row `from` on into rows that are zero.
-    fn put(&self, rows: &mut [u8], stride: usize, from: usize) {
-        match self.place {
-            Spot::Field(field) => {
-                field.put(rows, stride, (from..self.values.len()).map(|i| self.values.get(i)));
-            }
-            Spot::Extra(at) => each_kind!(self.values.as_ref(), column => {
-                for (row, number) in rows.chunks_exact_mut(stride).zip(&column[from..]) {
-                    let bytes = number.to_le_bytes();
-                    row[at..at + bytes.len()].copy_from_slice(&bytes);
-                }
-            }),
-        }
-    }
+    Ok(())
 }

@@ -1,345 +1,149 @@
 //! PCD, the Point Cloud Library's format: a text header that names fields, then rows, or compressed columns.
 
+mod read;
 mod write;
 
-use std::io::Read;
+use std::fmt;
+use std::io::Write;
 
+use super::kind::{Choices, Kind, Mark, Opened, Rows};
+use super::numbers::Storage;
 use super::source::Source;
-use super::text::{next_token, push_number, shown};
-use super::writer::CRS;
-use super::{Format, FormatError, Header, Limits, PcdEncoding, Place, Scalar};
-use densecloud_cloud::{Attribute, Cloud, Crs, Kind, Origin, Values};
+use super::writer::write_streamed;
+use super::{Format, FormatError, Limits, Scalar};
+use densecloud_cloud::{Attribute, Origin, Position, bytes_a_point};
 
-pub(super) use write::{columns, encode_compressed, header};
-
-/// More bytes than any header has.
-const MAX_HEADER: usize = 1 << 20;
-
-/// LZF makes at most 264 bytes of 3; a claim above that is none.
-const MAX_EXPANSION: u64 = 90;
-
-/// Everything before the data.
-pub(super) struct PcdHeader {
-    fields: Vec<Field>,
-    points: u64,
-    data: PcdEncoding,
-    /// Places of `x`, `y` and `z` among the fields.
-    axes: [usize; 3],
-    origin: Origin,
+/// PCD with its choices made.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Pcd {
+    pub(crate) encoding: PcdEncoding,
+    pub(crate) scalar: Scalar,
 }
 
-struct Field {
-    name: String,
-    /// None where no number of ours is like it.
-    kind: Option<Kind>,
-    size: usize,
-    count: usize,
-    /// Bytes from the beginning of a row.
-    offset: usize,
+/// How a PCD file stores numbers.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum PcdEncoding {
+    /// `DATA ascii`
+    Ascii,
+    /// `DATA binary`
+    Binary,
+    /// `DATA binary_compressed`
+    Compressed,
 }
 
-impl Field {
-    fn bytes(&self) -> usize {
-        self.size * self.count
+impl PcdEncoding {
+    /// As in a header.
+    fn name(self) -> &'static str {
+        match self {
+            Self::Ascii => "ascii",
+            Self::Binary => "binary",
+            Self::Compressed => "binary_compressed",
+        }
     }
 
-    /// `rgb` and `rgba` hold three or four bytes in one number.
-    fn is_colour(&self) -> bool {
-        matches!(self.name.as_str(), "rgb" | "rgba") && self.size == 4 && self.count == 1
-    }
-
-    fn is_kept(&self) -> bool {
-        self.name != "_" && self.kind.is_some() && self.count == 1
+    fn storage(self) -> Storage {
+        match self {
+            Self::Ascii => Storage::Text(" "),
+            Self::Binary | Self::Compressed => Storage::LittleEndian,
+        }
     }
 }
 
-impl PcdHeader {
-    /// Reads the header and leaves `source` at the first byte of data.
-    pub(super) fn open<R: Read>(
-        source: &mut Source<R>,
-        limits: Limits,
-    ) -> Result<(Self, Header), FormatError> {
-        let mut lines: Vec<(String, Vec<String>)> = Vec::new();
-        let mut origin = Origin::default();
-        let mut left = MAX_HEADER;
-        while let Some(range) = source.next_line()? {
-            let line = String::from_utf8_lossy(source.bytes(range)).into_owned();
-            let Some(rest) = left.checked_sub(line.len() + 1) else { break };
-            left = rest;
-            if let Some(comment) = line.strip_prefix('#') {
-                note(comment.trim(), &mut origin);
-                continue;
-            }
-            let line = line.split('#').next().unwrap_or_default();
-            let mut words = line.split_ascii_whitespace().map(str::to_owned);
-            if let Some(key) = words.next() {
-                let last = key == "DATA";
-                lines.push((key, words.collect()));
-                if last {
-                    let mut header =
-                        Self::parse(&lines).map_err(|why| FormatError::malformed(source.line(), why))?;
-                    let Origin { sensor, orientation, .. } = header.origin;
-                    header.origin = Origin { sensor, orientation, ..origin };
-                    if let Some(limit) = limits.max_points
-                        && header.points > limit
-                    {
-                        return Err(FormatError::TooManyPoints { points: header.points, limit });
-                    }
-                    let told = header.told();
-                    return Ok((header, told));
-                }
-            }
-        }
-        Err(FormatError::truncated(source.line(), "the PCD header has no `DATA` line"))
+impl Kind for Pcd {
+    /// The comment is usual; the line after it is not optional.
+    const MARK: Mark = Mark::Bytes(|head| head.starts_with(b"# .PCD") || head.starts_with(b"VERSION "));
+    const BEGINNING: Option<&'static str> = Some("`# .PCD`");
+    const MEDIA_TYPES: &'static [&'static str] = &["application/x-pcd"];
+
+    fn from_extension(extension: &str) -> Option<Self> {
+        (extension == "pcd").then_some(Self { encoding: PcdEncoding::Binary, scalar: Scalar::F32 })
     }
 
-    fn parse(lines: &[(String, Vec<String>)]) -> Result<Self, String> {
-        let find = |key: &str| lines.iter().find(|(k, _)| k == key).map(|(_, words)| words.as_slice());
-        let need = |key: &str| find(key).ok_or_else(|| format!("the PCD header has no `{key}` line"));
-        let whole =
-            |word: &String| word.parse::<u64>().map_err(|_| format!("`{word}` is not a whole number"));
-        let names = find("FIELDS").or(find("COLUMNS")).ok_or("the PCD header has no `FIELDS` line")?;
-        let (sizes, types) = (need("SIZE")?, need("TYPE")?);
-        let ones = vec!["1".to_owned(); names.len()];
-        let counts = find("COUNT").unwrap_or(&ones);
-        if sizes.len() != names.len() || types.len() != names.len() || counts.len() != names.len() {
-            return Err("FIELDS, SIZE, TYPE and COUNT do not have the same number of words".into());
+    fn from_media_type(media_type: &str) -> Option<Self> {
+        if media_type == "application/x-pcd" { Self::from_extension("pcd") } else { None }
+    }
+
+    fn open(source: &mut Source<'_>, limits: Limits) -> Result<Opened, FormatError> {
+        let (points, header) = read::PcdPoints::open(source, limits)?;
+        Ok(Opened { header, points: Box::new(points) })
+    }
+}
+
+impl Choices for Pcd {
+    fn media_type(&self) -> &'static str {
+        "application/x-pcd"
+    }
+
+    fn of_result(&self, input: Format, _names: bool) -> Format {
+        match input {
+            Format::Pcd { .. } => input,
+            // Much that reads PCD knows no others; see `finer`.
+            _ => Format::Pcd { encoding: self.encoding, scalar: Scalar::F32 },
         }
-        let mut fields = Vec::with_capacity(names.len());
-        let mut offset = 0;
-        for (i, name) in names.iter().enumerate() {
-            let (size, count) = (whole(&sizes[i])?, whole(&counts[i])?);
-            if !matches!(size, 1 | 2 | 4 | 8) || count > 1 << 20 {
-                return Err(format!("the field `{name}` has {count} numbers of {size} bytes"));
-            }
-            let kind = match (types[i].as_str(), size) {
-                ("I", 1) => Some(Kind::I8),
-                ("I", 2) => Some(Kind::I16),
-                ("I", 4) => Some(Kind::I32),
-                ("I", 8) => Some(Kind::I64),
-                ("U", 1) => Some(Kind::U8),
-                ("U", 2) => Some(Kind::U16),
-                ("U", 4) => Some(Kind::U32),
-                ("U", 8) => Some(Kind::U64),
-                ("F", 4) => Some(Kind::F32),
-                ("F", 8) => Some(Kind::F64),
-                _ => None,
-            };
-            let field =
-                Field { name: name.clone(), kind, size: size as usize, count: count as usize, offset };
-            offset += field.bytes();
-            fields.push(field);
-        }
-        let mut axes = [0; 3];
-        for (axis, name) in axes.iter_mut().zip(["x", "y", "z"]) {
-            let found = fields.iter().position(|f| f.name == name && f.is_kept());
-            *axis = found.ok_or_else(|| format!("the fields have no number `{name}`"))?;
-        }
-        let size = |key: &str| find(key).and_then(<[String]>::first).map(whole).transpose();
-        let points = match (size("POINTS")?, size("WIDTH")?, size("HEIGHT")?) {
-            (Some(points), _, _) => points,
-            (None, Some(width), height) => width.saturating_mul(height.unwrap_or(1)),
-            (None, None, _) => return Err("the PCD header has neither `POINTS` nor `WIDTH`".into()),
-        };
-        let data = match need("DATA")?.first().map(String::as_str) {
-            Some("ascii") => PcdEncoding::Ascii,
-            Some("binary") => PcdEncoding::Binary,
-            Some("binary_compressed") => PcdEncoding::Compressed,
-            other => return Err(format!("`DATA {}` is not known", other.unwrap_or_default())),
-        };
-        let origin = find("VIEWPOINT").map(viewpoint).unwrap_or_default();
-        Ok(Self { fields, points, data, axes, origin })
     }
 
     fn scalar(&self) -> Scalar {
-        let fits = self.axes.iter().all(|i| self.fields[*i].kind.is_some_and(Kind::fits_f32));
-        if fits { Scalar::F32 } else { Scalar::F64 }
+        self.scalar
     }
 
-    fn told(&self) -> Header {
-        let others =
-            || self.fields.iter().enumerate().filter(|(i, f)| !self.axes.contains(i) && f.name != "_");
-        Header {
-            format: Format::Pcd { encoding: self.data, scalar: self.scalar() },
-            points: Some(self.points),
-            attributes: others().filter(|(_, f)| f.is_kept()).map(|(_, f)| f.name.clone()).collect(),
-            dropped_properties: others().filter(|(_, f)| !f.is_kept()).map(|(_, f)| f.name.clone()).collect(),
+    fn finer(&self) -> Option<Format> {
+        Some(Format::Pcd { encoding: self.encoding, scalar: Scalar::F64 })
+    }
+
+    fn is_packed(&self) -> bool {
+        self.encoding == PcdEncoding::Compressed
+    }
+
+    fn is_streamed(&self) -> bool {
+        self.encoding != PcdEncoding::Compressed
+    }
+
+    fn encoded_len(&self, points: u64, attributes: &[Attribute], origin: &Origin) -> Option<u64> {
+        if self.encoding != PcdEncoding::Binary {
+            return None;
+        }
+        let header = write::header(*self, points, attributes, origin).len() as u64;
+        let fields = write::columns(attributes, self.encoding, 0..0);
+        points.checked_mul(3 * self.scalar.size() + bytes_a_point(&fields))?.checked_add(header)
+    }
+
+    fn bytes_a_point(&self, position: u64, attributes: u64) -> u64 {
+        match self.encoding.storage() {
+            Storage::Text(_) => Storage::text_bytes(position, attributes),
+            Storage::LittleEndian | Storage::BigEndian => position + attributes,
         }
     }
 
-    /// Reads the points.
-    pub(super) fn read<R: Read>(self, source: &mut Source<R>) -> Result<Cloud, FormatError> {
-        let mut columns: Vec<Option<Values>> =
-            self.fields.iter().map(|f| f.kind.filter(|_| f.is_kept()).map(Values::new)).collect();
-        match self.data {
-            PcdEncoding::Ascii => self.read_text(source, &mut columns)?,
-            PcdEncoding::Binary => self.read_rows(source, &mut columns)?,
-            PcdEncoding::Compressed => self.read_compressed(source, &mut columns)?,
-        }
-        let axes = self.axes.map(|i| columns[i].take());
-        let [Some(x), Some(y), Some(z)] = axes else {
-            // Two names at one place cannot be: `axes` finds each by its own.
-            return Err(FormatError::malformed(source.offset(), "the fields have no positions"));
-        };
-        let positions = (0..x.len()).map(|i| [x.get(i), y.get(i), z.get(i)]).collect();
-        let mut attributes: Vec<Attribute> = Vec::new();
-        for (field, values) in self.fields.iter().zip(columns) {
-            let Some(values) = values else { continue };
-            if field.is_colour() {
-                let bytes =
-                    |shift: u32| Values::U8(packed(&values).map(|rgb| (rgb >> shift) as u8).collect());
-                let mut names = vec![("red", 16), ("green", 8), ("blue", 0)];
-                if field.name == "rgba" {
-                    names.push(("alpha", 24));
-                }
-                for (name, shift) in names {
-                    attributes.push(Attribute { name: name.to_owned(), values: bytes(shift) });
-                }
-            } else {
-                attributes.push(Attribute { name: field.name.clone(), values });
-            }
-        }
-        Ok(Cloud { positions, attributes, origin: self.origin, ..Cloud::default() })
-    }
-
-    fn missing(&self, at: Place, found: u64) -> FormatError {
-        FormatError::truncated(at, format!("the header counts {} points, and {found} are there", self.points))
-    }
-
-    fn read_text<R: Read>(
+    fn begin(
         &self,
-        source: &mut Source<R>,
-        columns: &mut [Option<Values>],
-    ) -> Result<(), FormatError> {
-        let mut row = 0;
-        while row < self.points {
-            let Some(range) = source.next_line()? else { return Err(self.missing(source.line(), row)) };
-            let mut rest = source.bytes(range);
-            if rest.iter().all(u8::is_ascii_whitespace) {
-                continue;
-            }
-            for (field, column) in self.fields.iter().zip(columns.iter_mut()) {
-                for _ in 0..field.count {
-                    let token = next_token(&mut rest).unwrap_or_default();
-                    let Some(column) = column else { continue };
-                    push_text(column, token, field.is_colour()).ok_or_else(|| {
-                        let why = format!("{} is not a number of the field `{}`", shown(token), field.name);
-                        FormatError::malformed(source.line(), why)
-                    })?;
-                }
-            }
-            row += 1;
+        points: u64,
+        attributes: &[Attribute],
+        origin: &Origin,
+    ) -> Result<(Vec<u8>, Box<dyn Rows>), FormatError> {
+        if !self.is_streamed() {
+            return Err(FormatError::not_streamed(self));
         }
-        source.expect_end("the points that the header counts")
+        let header = write::header(*self, points, attributes, origin).into_bytes();
+        Ok((header, Box::new(write::PcdRows(*self))))
     }
 
-    fn read_rows<R: Read>(
+    fn encode(
         &self,
-        source: &mut Source<R>,
-        columns: &mut [Option<Values>],
+        sink: &mut dyn Write,
+        positions: &[Position],
+        attributes: &[Attribute],
+        origin: &Origin,
     ) -> Result<(), FormatError> {
-        let stride: usize = self.fields.iter().map(Field::bytes).sum();
-        let mut row = 0;
-        while row < self.points {
-            if !source.ensure(stride)? {
-                return Err(self.missing(source.offset(), row));
-            }
-            let left = usize::try_from(self.points - row).unwrap_or(usize::MAX);
-            let rows = left.min(source.buffered().len() / stride);
-            let block = &source.buffered()[..rows * stride];
-            for (field, column) in self.fields.iter().zip(columns.iter_mut()) {
-                if let Some(column) = column {
-                    column.extend_from_bytes(block.chunks_exact(stride).map(|r| &r[field.offset..]), false);
-                }
-            }
-            source.consume(rows * stride);
-            row += rows as u64;
+        if self.is_streamed() {
+            let begun = self.begin(positions.len() as u64, attributes, origin)?;
+            return write_streamed(sink, begun, positions, attributes);
         }
-        Ok(())
-    }
-
-    /// One LZF block that holds the fields one after another.
-    fn read_compressed<R: Read>(
-        &self,
-        source: &mut Source<R>,
-        columns: &mut [Option<Values>],
-    ) -> Result<(), FormatError> {
-        let at = source.offset();
-        let Some(sizes) = source.take(8)? else { return Err(self.missing(at, 0)) };
-        let word = |i: usize| u32::from_le_bytes([sizes[i], sizes[i + 1], sizes[i + 2], sizes[i + 3]]);
-        let (packed, unpacked) = (word(0) as usize, word(4) as usize);
-        let stride: usize = self.fields.iter().map(Field::bytes).sum();
-        if self.points.checked_mul(stride as u64) != Some(unpacked as u64) {
-            let why = format!("{unpacked} bytes for {} points of {stride} bytes", self.points);
-            return Err(FormatError::malformed(at, why));
-        }
-        let mut bytes = Vec::new();
-        while bytes.len() < packed && source.ensure(1)? {
-            let part = source.buffered();
-            let part = &part[..part.len().min(packed - bytes.len())];
-            bytes.extend_from_slice(part);
-            let length = part.len();
-            source.consume(length);
-        }
-        if bytes.len() < packed {
-            return Err(self.missing(source.offset(), 0));
-        }
-        if unpacked as u64 > packed as u64 * MAX_EXPANSION {
-            return Err(FormatError::malformed(at, "more bytes than can be compressed into what is there"));
-        }
-        let bytes = lzf::decompress(&bytes, unpacked).ok().filter(|b| b.len() == unpacked);
-        let bytes = bytes.ok_or_else(|| FormatError::malformed(at, "the compressed data are damaged"))?;
-        let mut rest = bytes.as_slice();
-        for (field, column) in self.fields.iter().zip(columns.iter_mut()) {
-            // The product of both is within the length, as checked.
-            let (own, after) = rest.split_at(field.bytes() * self.points as usize);
-            if let Some(column) = column {
-                column.extend_from_bytes(own.chunks_exact(field.size), false);
-            }
-            rest = after;
-        }
-        Ok(())
+        Ok(sink.write_all(&write::encode_compressed(self.scalar, positions, attributes, origin)?)?)
     }
 }
 
-/// A comment of the header: the coordinate system, as it is written here, or a line about the file.
-fn note(comment: &str, origin: &mut Origin) {
-    if let Some(crs) = comment.strip_prefix(CRS) {
-        origin.crs = crs.parse::<Crs>().ok();
-    } else if !comment.is_empty() && !comment.starts_with(".PCD") {
-        origin.comments.push(comment.to_owned());
+impl fmt::Display for Pcd {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "PCD ({}, {}-bit)", self.encoding.name(), 8 * self.scalar.size())
     }
-}
-
-/// Where the sensor stood and how it was turned: a translation, then a quaternion. What every program
-/// writes that does not know is taken for nothing.
-fn viewpoint(words: &[String]) -> Origin {
-    let numbers: Vec<f64> = words.iter().map_while(|word| word.parse().ok()).collect();
-    match <[f64; 7]>::try_from(numbers) {
-        Ok([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]) | Err(_) => Origin::default(),
-        Ok([x, y, z, w, i, j, k]) => {
-            Origin { sensor: Some([x, y, z]), orientation: Some([w, i, j, k]), ..Origin::default() }
-        }
-    }
-}
-
-/// The bits of a colour, in whatever type it comes.
-fn packed(values: &Values) -> Box<dyn Iterator<Item = u32> + '_> {
-    match values {
-        Values::F32(column) => Box::new(column.iter().map(|v| v.to_bits())),
-        Values::U32(column) => Box::new(column.iter().copied()),
-        other => Box::new((0..other.len()).map(|i| other.get(i) as i64 as u32)),
-    }
-}
-
-/// Appends a number in text. A colour's bits may be written as the float or as the whole number that
-/// they are.
-fn push_text(values: &mut Values, token: &[u8], colour: bool) -> Option<()> {
-    if let (true, Values::F32(column)) = (colour, &mut *values)
-        && let Some(bits) = std::str::from_utf8(token).ok().and_then(|t| t.parse().ok())
-    {
-        column.push(f32::from_bits(bits));
-        return Some(());
-    }
-    push_number(values, token)
 }

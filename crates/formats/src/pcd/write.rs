@@ -2,18 +2,33 @@
 
 use std::ops::Range;
 
-use super::super::writer::{CRS, one_word};
-use super::super::{CloudWriter, Format, FormatError, PcdEncoding, Scalar};
+use super::super::kind::{Choices, Rows};
+use super::super::numbers::{CRS, one_word, put_rows};
+use super::super::writer::write_streamed;
+use super::super::{FormatError, Scalar};
+use super::{Pcd, PcdEncoding};
 use densecloud_cloud::{Attribute, Kind, Origin, Position, Values};
 
+/// Rows of fields.
+#[derive(Debug)]
+pub(super) struct PcdRows(pub(super) Pcd);
+
+impl Rows for PcdRows {
+    fn put(
+        &self,
+        bytes: &mut Vec<u8>,
+        positions: &[Position],
+        attributes: &[Attribute],
+        from: usize,
+    ) -> Result<(), FormatError> {
+        let fields = columns(attributes, self.0.encoding, from..from + positions.len());
+        put_rows(bytes, positions, &fields, 0, self.0.encoding.storage(), self.0.scalar)
+    }
+}
+
 /// The header before the data.
-pub(in super::super) fn header(
-    encoding: PcdEncoding,
-    scalar: Scalar,
-    points: u64,
-    attributes: &[Attribute],
-    origin: &Origin,
-) -> String {
+pub(super) fn header(pcd: Pcd, points: u64, attributes: &[Attribute], origin: &Origin) -> String {
+    let Pcd { encoding, scalar } = pcd;
     let mut text = "# .PCD v0.7 - Point Cloud Data file format\n".to_owned();
     if let Some(crs) = &origin.crs {
         text += &format!("# {CRS}{crs}\n");
@@ -47,11 +62,7 @@ pub(in super::super) fn header(
 
 /// The fields of some rows beside the position: as the attributes, but colours of 8 bits are packed into
 /// one number, `rgb` or, with `alpha`, `rgba`, and normals have the names and the type that PCL looks for.
-pub(in super::super) fn columns(
-    attributes: &[Attribute],
-    encoding: PcdEncoding,
-    rows: Range<usize>,
-) -> Vec<Attribute> {
+pub(super) fn columns(attributes: &[Attribute], encoding: PcdEncoding, rows: Range<usize>) -> Vec<Attribute> {
     // Clouds are counted in 32 bits everywhere.
     let rows: Vec<u32> = rows.map(|row| row as u32).collect();
     let find = |name: &str| attributes.iter().find(|a| a.name == name);
@@ -102,19 +113,19 @@ pub(in super::super) fn columns(
 
 /// A cloud as a file of one compressed block; as plain binary where compression gains nothing, or where
 /// the block's length takes more than its field has room for.
-pub(in super::super) fn encode_compressed(
+pub(super) fn encode_compressed(
     scalar: Scalar,
     positions: &[Position],
     attributes: &[Attribute],
     origin: &Origin,
 ) -> Result<Vec<u8>, FormatError> {
     // Rows at first: they are turned into columns below, as every encoding's numbers are made in one place.
-    let plain = Format::Pcd { encoding: PcdEncoding::Binary, scalar };
-    let points = positions.len();
-    let mut writer = CloudWriter::with(Vec::new(), plain, points as u64, attributes, origin)?;
-    writer.write_rows(positions, attributes, 0)?;
-    let rows = writer.finish()?;
-    let begin = header(PcdEncoding::Binary, scalar, points as u64, attributes, origin).len();
+    let plain = Pcd { encoding: PcdEncoding::Binary, scalar };
+    let points = positions.len() as u64;
+    let begun = plain.begin(points, attributes, origin)?;
+    let begin = begun.0.len();
+    let mut rows = Vec::new();
+    write_streamed(&mut rows, begun, positions, attributes)?;
     let mut sizes = vec![scalar.size() as usize; 3];
     let fields = columns(attributes, PcdEncoding::Compressed, 0..0);
     sizes.extend(fields.iter().map(|field| field.values.kind().size()));
@@ -129,7 +140,8 @@ pub(in super::super) fn encode_compressed(
     }
     let packed = if i32::try_from(block.len()).is_ok() { lzf::compress(&block).ok() } else { None };
     let Some(packed) = packed else { return Ok(rows) };
-    let mut bytes = header(PcdEncoding::Compressed, scalar, points as u64, attributes, origin).into_bytes();
+    let packed_pcd = Pcd { encoding: PcdEncoding::Compressed, scalar };
+    let mut bytes = header(packed_pcd, points, attributes, origin).into_bytes();
     // Both are less than 2^31.
     bytes.extend_from_slice(&(packed.len() as u32).to_le_bytes());
     bytes.extend_from_slice(&(block.len() as u32).to_le_bytes());

@@ -1,18 +1,19 @@
 //! The positions and attributes of a PLY file's vertices.
 
-use std::io::Read;
+use std::ops::Range;
 use std::sync::Arc;
 
+use super::super::numbers::CRS;
+use super::super::reader::{Block, ColumnName, Ending, Points};
 use super::super::source::Source;
-use super::super::writer::CRS;
 use super::super::{Format, FormatError, Header, Limits, PlyEncoding, Scalar};
 use super::header::{Element, PlyHeader, Shape};
 use super::rows::{Rows, decode, truncated};
-use densecloud_cloud::{self as table, Attribute, Cloud, Kind, Origin, Position, Table, Values};
+use densecloud_cloud::{self as table, Kind, Origin, Position, Table, Values};
 
 /// What a PLY header says of the cloud, checked against the limits. `source` is where the data begin.
-pub(in super::super) fn describe<R: Read>(
-    source: &Source<R>,
+pub(super) fn describe(
+    source: &Source<'_>,
     header: &PlyHeader,
     limits: Limits,
 ) -> Result<Header, FormatError> {
@@ -51,38 +52,67 @@ pub(in super::super) fn describe<R: Read>(
     Ok(Header { format, points: Some(vertex.count), attributes, dropped_properties })
 }
 
-/// Reads the vertices, and the other elements as tables.
-pub(in super::super) fn read_cloud<R: Read>(
-    source: &mut Source<R>,
-    header: &PlyHeader,
-) -> Result<Cloud, FormatError> {
-    let mut vertices = Vertices::default();
-    let mut tables = Vec::new();
-    for element in &header.elements {
-        if element.name == "vertex" {
-            vertices = read_vertices(source, header.encoding, element, true)?;
-        } else if !element.properties.is_empty() {
-            tables.push(read_table(source, header.encoding, element)?);
-        }
+/// The vertices, with the other elements as tables before and after them.
+pub(super) struct PlyPoints {
+    header: PlyHeader,
+    /// The vertices' place among the elements.
+    at: usize,
+    vertices: VertexReader,
+    tables: Vec<Table>,
+    /// Whether the elements before the vertices are read.
+    has_begun: bool,
+}
+
+impl PlyPoints {
+    pub(super) fn new(source: &Source<'_>, header: PlyHeader) -> Result<Self, FormatError> {
+        let Some((at, vertex)) = header.element("vertex") else {
+            return Err(FormatError::malformed(source.line(), "the PLY header declares no element `vertex`"));
+        };
+        let vertices = VertexReader::new(source, header.encoding, vertex, true)?;
+        Ok(Self { header, at, vertices, tables: Vec::new(), has_begun: false })
     }
-    source.expect_end("the elements that the header counts")?;
-    let Vertices { positions, attributes } = vertices;
-    let mut origin = Origin { tables: Arc::new(tables), ..Origin::default() };
-    for comment in &header.comments {
-        match comment.trim_start().strip_prefix(CRS) {
-            Some(crs) if origin.crs.is_none() && !crs.trim().is_empty() => {
-                // Parsing cannot fail.
-                origin.crs = crs.parse().ok();
+
+    fn read_tables(&mut self, source: &mut Source<'_>, elements: Range<usize>) -> Result<(), FormatError> {
+        for element in self.header.elements[elements].iter().filter(|e| !e.properties.is_empty()) {
+            self.tables.push(read_table(source, self.header.encoding, element)?);
+        }
+        Ok(())
+    }
+}
+
+impl Points for PlyPoints {
+    fn append(&mut self, source: &mut Source<'_>, rows: usize, to: &mut Block) -> Result<(), FormatError> {
+        if !self.has_begun {
+            self.read_tables(source, 0..self.at)?;
+            self.has_begun = true;
+        }
+        self.vertices.append(source, &self.header.elements[self.at], rows, to)
+    }
+
+    fn finish(mut self: Box<Self>, source: &mut Source<'_>) -> Result<Ending, FormatError> {
+        self.read_tables(source, self.at + 1..self.header.elements.len())?;
+        source.expect_end("the elements that the header counts")?;
+        let mut origin = Origin { tables: Arc::new(self.tables), ..Origin::default() };
+        for comment in &self.header.comments {
+            match comment.trim_start().strip_prefix(CRS) {
+                Some(crs) if origin.crs.is_none() && !crs.trim().is_empty() => {
+                    // Parsing cannot fail.
+                    origin.crs = crs.parse().ok();
+                }
+                _ => origin.comment(comment),
             }
-            _ => origin.comment(comment),
         }
+        let properties = &self.header.elements[self.at].properties;
+        let columns = self.vertices.columns.iter();
+        let columns =
+            columns.map(|c| Some(ColumnName { name: properties[c.property].name.clone(), kind: c.kind }));
+        Ok(Ending { columns: columns.collect(), dropped_properties: Vec::new(), origin })
     }
-    Ok(Cloud { positions, attributes, dropped_properties: Vec::new(), origin })
 }
 
 /// Reads an element with properties.
-fn read_table<R: Read>(
-    source: &mut Source<R>,
+fn read_table(
+    source: &mut Source<'_>,
     encoding: PlyEncoding,
     element: &Element,
 ) -> Result<Table, FormatError> {
@@ -122,54 +152,142 @@ fn read_table<R: Read>(
     Ok(Table { name: element.name.clone(), rows: count, columns: columns.collect() })
 }
 
-/// What the element `vertex` holds.
-#[derive(Default)]
-pub(super) struct Vertices {
-    pub(super) positions: Vec<Position>,
-    /// Every scalar property but `x`, `y` and `z`, in the file's order.
-    pub(super) attributes: Vec<Attribute>,
-}
-
-/// Reads the element `vertex`, with its attributes or without.
-pub(super) fn read_vertices<R: Read>(
-    source: &mut Source<R>,
+/// Reads the element `vertex` block by block.
+pub(super) struct VertexReader {
     encoding: PlyEncoding,
-    vertex: &Element,
-    keep: bool,
-) -> Result<Vertices, FormatError> {
-    let axes = axes(source, vertex)?;
-    let mut columns = Vec::new();
-    let mut offset = 0;
-    for (i, property) in vertex.properties.iter().enumerate() {
-        if let Shape::Scalar(kind) = property.shape {
-            if keep && !axes.contains(&i) {
-                let attribute = Attribute { name: property.name.clone(), values: Values::new(kind) };
-                columns.push(Column { property: i, offset, attribute });
-            }
-            offset += kind.size();
-        }
-    }
-    let positions = match (encoding, vertex.stride()) {
-        (PlyEncoding::BinaryLittleEndian, Some(_)) => {
-            read_stride::<R, false>(source, vertex, axes, &mut columns)
-        }
-        (PlyEncoding::BinaryBigEndian, Some(_)) => read_stride::<R, true>(source, vertex, axes, &mut columns),
-        _ => read_rows(source, encoding, vertex, axes, &mut columns),
-    }?;
-    Ok(Vertices { positions, attributes: columns.into_iter().map(|c| c.attribute).collect() })
+    axes: [usize; 3],
+    /// Every scalar property but `x`, `y` and `z`, in the file's order.
+    columns: Vec<Column>,
+    /// Rows read.
+    row: u64,
 }
 
-/// An attribute as it is read.
+/// An attribute.
 struct Column {
     /// Its place among the properties.
     property: usize,
     /// Bytes from the beginning of a binary row, where rows are of equal length.
     offset: usize,
-    attribute: Attribute,
+    kind: Kind,
+}
+
+impl VertexReader {
+    /// A reader from the first row on, of attributes too if they are to be kept.
+    pub(super) fn new(
+        source: &Source<'_>,
+        encoding: PlyEncoding,
+        vertex: &Element,
+        keep: bool,
+    ) -> Result<Self, FormatError> {
+        let axes = axes(source, vertex)?;
+        let mut columns = Vec::new();
+        let mut offset = 0;
+        for (i, property) in vertex.properties.iter().enumerate() {
+            if let Shape::Scalar(kind) = property.shape {
+                if keep && !axes.contains(&i) {
+                    columns.push(Column { property: i, offset, kind });
+                }
+                offset += kind.size();
+            }
+        }
+        Ok(Self { encoding, axes, columns, row: 0 })
+    }
+
+    /// As [`Points::append`].
+    pub(super) fn append(
+        &mut self,
+        source: &mut Source<'_>,
+        vertex: &Element,
+        rows: usize,
+        to: &mut Block,
+    ) -> Result<(), FormatError> {
+        if to.columns.is_empty() {
+            to.columns = self.columns.iter().map(|column| Values::new(column.kind)).collect();
+        }
+        match (self.encoding, vertex.stride()) {
+            (PlyEncoding::BinaryLittleEndian, Some(stride)) => {
+                self.append_stride::<false>(source, vertex, stride, rows, to)
+            }
+            (PlyEncoding::BinaryBigEndian, Some(stride)) => {
+                self.append_stride::<true>(source, vertex, stride, rows, to)
+            }
+            _ => self.append_rows(source, vertex, rows, to),
+        }
+    }
+
+    /// Rows of equal length: as many as are buffered, from the buffer.
+    fn append_stride<const BIG: bool>(
+        &mut self,
+        source: &mut Source<'_>,
+        vertex: &Element,
+        stride: usize,
+        rows: usize,
+        to: &mut Block,
+    ) -> Result<(), FormatError> {
+        if self.row == vertex.count {
+            return Ok(());
+        }
+        if !source.ensure(stride)? {
+            return Err(truncated(source.offset(), vertex, self.row));
+        }
+        let left = usize::try_from(vertex.count - self.row).unwrap_or(usize::MAX);
+        let rows = left.min(rows).min(source.buffered().len() / stride);
+        let block = &source.buffered()[..rows * stride];
+        decode_block::<BIG>(block, stride, self.places(vertex), &mut to.positions);
+        for (column, values) in self.columns.iter().zip(&mut to.columns) {
+            values.extend_from_bytes(block.chunks_exact(stride).map(|row| &row[column.offset..]), BIG);
+        }
+        source.consume(rows * stride);
+        self.row += rows as u64;
+        Ok(())
+    }
+
+    /// Where a binary row has the coordinates, and in what type.
+    fn places(&self, vertex: &Element) -> [(usize, Kind); 3] {
+        let scalar = |shape: Shape| match shape {
+            Shape::Scalar(kind) | Shape::List { item: kind, .. } => kind,
+        };
+        self.axes.map(|axis| {
+            let before = vertex.properties[..axis].iter().map(|property| scalar(property.shape).size());
+            (before.sum(), scalar(vertex.properties[axis].shape))
+        })
+    }
+
+    /// Text, and rows with lists in them.
+    fn append_rows(
+        &mut self,
+        source: &mut Source<'_>,
+        vertex: &Element,
+        count: usize,
+        to: &mut Block,
+    ) -> Result<(), FormatError> {
+        let places: Vec<(Shape, Option<usize>)> = (vertex.properties.iter().enumerate())
+            .map(|(i, property)| (property.shape, self.axes.iter().position(|axis| *axis == i)))
+            .collect();
+        let mut rows = Rows::from(source, self.encoding, vertex, self.row);
+        let end = to.positions.len().saturating_add(count);
+        while to.positions.len() < end && rows.begin()? {
+            let mut position = [0.0; 3];
+            let mut kept = self.columns.iter().zip(&mut to.columns).peekable();
+            for (i, (shape, axis)) in places.iter().enumerate() {
+                match (shape, axis) {
+                    (Shape::Scalar(kind), Some(axis)) => position[*axis] = rows.number(*kind)?,
+                    _ => match kept.next_if(|(column, _)| column.property == i) {
+                        Some((_, values)) => rows.push(values)?,
+                        None => rows.skip(*shape)?,
+                    },
+                }
+            }
+            rows.end()?;
+            to.positions.push(position);
+        }
+        self.row = rows.row();
+        Ok(())
+    }
 }
 
 /// Where `x`, `y` and `z` stand among the properties.
-fn axes<R: Read>(source: &Source<R>, vertex: &Element) -> Result<[usize; 3], FormatError> {
+fn axes(source: &Source<'_>, vertex: &Element) -> Result<[usize; 3], FormatError> {
     let mut axes = [0; 3];
     for (axis, name) in axes.iter_mut().zip(["x", "y", "z"]) {
         let found = vertex.properties.iter().position(|p| p.name == name);
@@ -179,45 +297,6 @@ fn axes<R: Read>(source: &Source<R>, vertex: &Element) -> Result<[usize; 3], For
             })?;
     }
     Ok(axes)
-}
-
-/// Rows of equal length: whole blocks at a time, from the buffer.
-fn read_stride<R: Read, const BIG: bool>(
-    source: &mut Source<R>,
-    vertex: &Element,
-    axes: [usize; 3],
-    others: &mut [Column],
-) -> Result<Vec<Position>, FormatError> {
-    let mut offsets = Vec::with_capacity(vertex.properties.len());
-    let mut stride = 0;
-    for property in &vertex.properties {
-        offsets.push(stride);
-        if let Shape::Scalar(kind) = property.shape {
-            stride += kind.size();
-        }
-    }
-    let columns = axes.map(|a| {
-        let kind = match vertex.properties[a].shape {
-            Shape::Scalar(kind) | Shape::List { item: kind, .. } => kind,
-        };
-        (offsets[a], kind)
-    });
-    let mut positions: Vec<Position> = Vec::new();
-    while (positions.len() as u64) < vertex.count {
-        if !source.ensure(stride)? {
-            return Err(truncated(source.offset(), vertex, positions.len() as u64));
-        }
-        let left = usize::try_from(vertex.count - positions.len() as u64).unwrap_or(usize::MAX);
-        let rows = left.min(source.buffered().len() / stride);
-        let block = &source.buffered()[..rows * stride];
-        decode_block::<BIG>(block, stride, columns, &mut positions);
-        for column in others.iter_mut() {
-            let rows = block.chunks_exact(stride).map(|row| &row[column.offset..]);
-            column.attribute.values.extend_from_bytes(rows, BIG);
-        }
-        source.consume(rows * stride);
-    }
-    Ok(positions)
 }
 
 /// Appends the positions of whole rows. The usual types have loops of their own, so that no type is
@@ -246,35 +325,4 @@ fn decode_block<const BIG: bool>(
         })),
         _ => positions.extend(rows.map(|row| columns.map(|(o, kind)| decode(kind, BIG, &row[o..])))),
     }
-}
-
-/// Text, and rows with lists in them.
-fn read_rows<R: Read>(
-    source: &mut Source<R>,
-    encoding: PlyEncoding,
-    vertex: &Element,
-    axes: [usize; 3],
-    others: &mut [Column],
-) -> Result<Vec<Position>, FormatError> {
-    let columns: Vec<(Shape, Option<usize>)> = (vertex.properties.iter().enumerate())
-        .map(|(i, property)| (property.shape, axes.iter().position(|a| *a == i)))
-        .collect();
-    let mut positions = Vec::new();
-    let mut rows = Rows::new(source, encoding, vertex);
-    while rows.begin()? {
-        let mut position = [0.0; 3];
-        let mut kept = others.iter_mut().peekable();
-        for (i, (shape, axis)) in columns.iter().enumerate() {
-            match (shape, axis) {
-                (Shape::Scalar(kind), Some(axis)) => position[*axis] = rows.number(*kind)?,
-                _ => match kept.next_if(|column| column.property == i) {
-                    Some(column) => rows.push(&mut column.attribute.values)?,
-                    None => rows.skip(*shape)?,
-                },
-            }
-        }
-        rows.end()?;
-        positions.push(position);
-    }
-    Ok(positions)
 }

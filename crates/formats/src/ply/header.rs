@@ -1,7 +1,6 @@
 //! The header of a PLY file.
 
 use std::collections::HashSet;
-use std::io::Read;
 
 use super::super::source::Source;
 use super::super::{FormatError, PlyEncoding};
@@ -13,7 +12,7 @@ const MAX_BYTES: usize = 1 << 20;
 
 /// Everything before the data.
 #[derive(Debug, PartialEq, Eq)]
-pub(in super::super) struct PlyHeader {
+pub(super) struct PlyHeader {
     pub(super) encoding: PlyEncoding,
     /// In the order of the data.
     pub(super) elements: Vec<Element>,
@@ -49,7 +48,7 @@ pub(super) enum Shape {
 }
 
 /// Parses a header and leaves `source` at the first byte of data.
-pub(in super::super) fn parse<R: Read>(source: &mut Source<R>) -> Result<PlyHeader, FormatError> {
+pub(super) fn parse(source: &mut Source<'_>) -> Result<PlyHeader, FormatError> {
     let mut encoding = None;
     let mut elements: Vec<Element> = Vec::new();
     let mut comments = Vec::new();
@@ -188,7 +187,7 @@ fn parse_kind(word: &str) -> Option<Kind> {
 
 /// The name that a written header gives it: the specification's own, and for 64-bit integers, which it
 /// does not have, what most programs read.
-pub(in super::super) fn kind_name(kind: Kind) -> &'static str {
+pub(super) fn kind_name(kind: Kind) -> &'static str {
     match kind {
         Kind::I8 => "char",
         Kind::U8 => "uchar",
@@ -206,10 +205,11 @@ pub(in super::super) fn kind_name(kind: Kind) -> &'static str {
 #[cfg(test)]
 mod tests {
     use super::super::super::Limits;
+    use super::super::super::source::Input;
     use super::*;
 
     fn parse_text(text: &[u8]) -> Result<PlyHeader, FormatError> {
-        parse(&mut Source::new(text, Limits::default())?)
+        parse(&mut Source::new(Input::Stream(Box::new(text)), Limits::default())?)
     }
 
     #[test]

@@ -1,18 +1,18 @@
 //! The triangles of a PLY file.
 
-use std::io::Read;
-
 use super::super::mesh::Polygons;
+use super::super::reader::Block;
 use super::super::source::Source;
 use super::super::{FormatError, PlyEncoding};
-use super::cloud::read_vertices;
+use super::cloud::VertexReader;
 use super::header::{Element, Shape, parse};
 use super::rows::Rows;
+use densecloud_cloud::Position;
 use densecloud_geometry::Mesh;
 
 /// Reads a PLY file with the elements `vertex` and `face`; the faces' list is named `vertex_indices`
 /// or `vertex_index`. Everything else is skipped.
-pub(in super::super) fn read_mesh<R: Read>(source: &mut Source<R>) -> Result<Mesh, FormatError> {
+pub(in super::super) fn read_mesh(source: &mut Source<'_>) -> Result<Mesh, FormatError> {
     let header = parse(source)?;
     for (name, what) in [("vertex", "vertices"), ("face", "faces: it is a cloud, not a mesh")] {
         if header.element(name).is_none() {
@@ -23,7 +23,7 @@ pub(in super::super) fn read_mesh<R: Read>(source: &mut Source<R>) -> Result<Mes
     let mut polygons = Polygons::default();
     for element in &header.elements {
         match element.name.as_str() {
-            "vertex" => vertices = read_vertices(source, header.encoding, element, false)?.positions,
+            "vertex" => vertices = read_vertices(source, header.encoding, element)?,
             "face" => read_faces(source, header.encoding, element, &mut polygons)?,
             _ => Rows::new(source, header.encoding, element).skip_all()?,
         }
@@ -32,8 +32,23 @@ pub(in super::super) fn read_mesh<R: Read>(source: &mut Source<R>) -> Result<Mes
     polygons.into_mesh(vertices)
 }
 
-fn read_faces<R: Read>(
-    source: &mut Source<R>,
+fn read_vertices(
+    source: &mut Source<'_>,
+    encoding: PlyEncoding,
+    vertex: &Element,
+) -> Result<Vec<Position>, FormatError> {
+    let mut reader = VertexReader::new(source, encoding, vertex, false)?;
+    let mut block = Block::default();
+    let mut before = None;
+    while before != Some(block.positions.len()) {
+        before = Some(block.positions.len());
+        reader.append(source, vertex, usize::MAX, &mut block)?;
+    }
+    Ok(block.positions)
+}
+
+fn read_faces(
+    source: &mut Source<'_>,
     encoding: PlyEncoding,
     face: &Element,
     polygons: &mut Polygons,

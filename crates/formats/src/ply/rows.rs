@@ -1,6 +1,5 @@
 //! Rows of an element, in any encoding, a number at a time.
 
-use std::io::Read;
 use std::ops::Range;
 
 use super::super::source::Source;
@@ -11,8 +10,8 @@ use densecloud_cloud::{Kind, Values};
 
 /// A cursor over the rows of one element. Binary rows are bytes without gaps; a text row is exactly
 /// one line, because a row that took numbers from the next line would shift all that follow it.
-pub(super) struct Rows<'a, R> {
-    source: &'a mut Source<R>,
+pub(super) struct Rows<'a, 'r> {
+    source: &'a mut Source<'r>,
     encoding: PlyEncoding,
     element: &'a Element,
     row: u64,
@@ -20,9 +19,24 @@ pub(super) struct Rows<'a, R> {
     line: Range<usize>,
 }
 
-impl<'a, R: Read> Rows<'a, R> {
-    pub(super) fn new(source: &'a mut Source<R>, encoding: PlyEncoding, element: &'a Element) -> Self {
-        Self { source, encoding, element, row: 0, line: 0..0 }
+impl<'a, 'r> Rows<'a, 'r> {
+    pub(super) fn new(source: &'a mut Source<'r>, encoding: PlyEncoding, element: &'a Element) -> Self {
+        Self::from(source, encoding, element, 0)
+    }
+
+    /// A cursor before the row of that number.
+    pub(super) fn from(
+        source: &'a mut Source<'r>,
+        encoding: PlyEncoding,
+        element: &'a Element,
+        row: u64,
+    ) -> Self {
+        Self { source, encoding, element, row, line: 0..0 }
+    }
+
+    /// The number of the next row.
+    pub(super) fn row(&self) -> u64 {
+        self.row
     }
 
     /// Starts the next row; false when all rows are read. Blank lines are skipped.

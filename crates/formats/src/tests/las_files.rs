@@ -6,8 +6,9 @@ use ::las::point::{Classification, ScanDirection};
 use ::las::{Builder, Color, Point, Transform, Vector, Vlr, Writer};
 use proptest::prelude::*;
 
+use super::super::las::{LasOrigin, LasRecord};
 use super::*;
-use densecloud_cloud::{Crs, LasOrigin, LasRecord, Origin};
+use densecloud_cloud::{Crs, Extra, Origin};
 
 const LAS: Format = Format::Las { compressed: false };
 const LAZ: Format = Format::Las { compressed: true };
@@ -156,7 +157,7 @@ fn again(cloud: &Cloud, format: Format) -> (Cloud, Vec<u8>) {
 }
 
 fn las(cloud: &Cloud) -> &LasOrigin {
-    cloud.origin.las.as_deref().expect("from LAS")
+    LasOrigin::of(&cloud.origin).expect("from LAS")
 }
 
 /// The first three numbers of each point, as they are stored.
@@ -233,7 +234,7 @@ fn extended_records_and_a_long_system_are_kept() {
             ..Default::default()
         });
     }
-    cloud.origin.las = Some(las.into());
+    cloud.origin.extra = Some(Extra::new(las));
     for format in [LAS, LAZ] {
         let (back, bytes) = again(&cloud, format);
         assert_eq!(back, cloud);
@@ -256,7 +257,7 @@ fn another_system_replaces_the_files_own() {
         assert_eq!(back.origin.crs, cloud.origin.crs);
         assert_eq!(las(&back).records.len(), count);
         // From elsewhere: keys of GeoTIFF only where the standard has them.
-        cloud.origin.las = None;
+        cloud.origin.extra = None;
         let (back, bytes) = again(&cloud, LAS);
         assert_eq!(back.origin.crs, cloud.origin.crs);
         let is_keys = crs.is_some_and(|text| !text.contains('['));
@@ -330,7 +331,7 @@ fn steps_suit_the_cloud_and_the_range_of_integers() {
     // Too far from the source's offset, then too far apart for its scale.
     for (far, scale, offset) in [(3e6, 0.001, 1.5e6), (1e7, 0.01, 5e6)] {
         let las = LasOrigin { version: (1, 2), scale: [0.001; 3], ..LasOrigin::default() };
-        let origin = Origin { las: Some(las.into()), ..Origin::default() };
+        let origin = Origin { extra: Some(Extra::new(las)), ..Origin::default() };
         let cloud = Cloud { positions: vec![[0.0; 3], [far, 1.0, 1.0]], origin, ..Cloud::default() };
         let back = again(&cloud, LAS).0;
         let las = self::las(&back);

@@ -21,6 +21,7 @@ use zstd::zstd_safe::CParameter;
 
 use crate::admission::budget::Held;
 use crate::app::App;
+use densecloud_formats::Format;
 
 /// How an answer is compressed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -91,18 +92,8 @@ impl Compression {
 /// Whether a kind of answer becomes smaller; LAZ, E57 and images do not, and events must not wait.
 fn shrinks(media_type: &str) -> bool {
     let kind = media_type.split(';').next().unwrap_or_default().trim();
-    matches!(
-        kind,
-        "application/x-ply"
-            | "application/vnd.las"
-            | "application/x-pcd"
-            | "application/x-npy"
-            | "application/octet-stream"
-            | "application/json"
-            | "text/plain"
-            | "text/csv"
-            | "text/html"
-    )
+    matches!(kind, "application/octet-stream" | "application/json" | "text/html")
+        || Format::from_media_type(kind).is_some_and(|format| !format.is_packed())
 }
 
 /// The layer.

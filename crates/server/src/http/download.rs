@@ -10,7 +10,7 @@ use tokio::task::spawn_blocking;
 
 use crate::admission::budget::Held;
 use densecloud_cloud::{Attribute, Origin, Position};
-use densecloud_formats::{CloudWriter, Format, FormatError, PcdEncoding, PlyEncoding, encode};
+use densecloud_formats::{CloudWriter, Format, FormatError, encode};
 
 /// Points encoded at a time: 48 KiB in the commonest format, well under a millisecond of work.
 pub(crate) const BLOCK: usize = 4096;
@@ -34,19 +34,7 @@ pub(crate) fn result_bytes(points: u64, attribute_bytes: u64, format: Format) ->
 
 /// Bytes that a result's file will have, about, and mostly less: as [`result_bytes`] counts points.
 pub(crate) fn file_bytes(points: u64, attribute_bytes: u64, format: Format) -> u64 {
-    let a_point = size_of::<Position>() as u64 + attribute_bytes;
-    points.saturating_mul(match format {
-        // What takes one byte is four characters with what parts it from the next, `255 ` or `-128`; what takes
-        // eight is 24 at most, but for numbers such as 1e-300.
-        Format::Xyz { .. }
-        | Format::Ply { encoding: PlyEncoding::Ascii, .. }
-        | Format::Pcd { encoding: PcdEncoding::Ascii, .. } => {
-            3 * size_of::<Position>() as u64 + 4 * attribute_bytes
-        }
-        // Fields that each record has, whether or not the cloud has them.
-        Format::Las { .. } => a_point + 24,
-        _ => a_point,
-    })
+    format.file_bytes(points, attribute_bytes)
 }
 
 /// A result as a response's body, which holds its share of the memory until it is over.
@@ -143,7 +131,7 @@ mod tests {
     use super::*;
     use crate::admission::budget::Budget;
     use densecloud_cloud::Values;
-    use densecloud_formats::{Scalar, Separator};
+    use densecloud_formats::{PcdEncoding, PlyEncoding, Scalar, Separator};
 
     #[tokio::test]
     async fn the_body_is_what_one_writer_would_have_written_at_once() {

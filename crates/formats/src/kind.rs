@@ -1,0 +1,164 @@
+//! What a format tells of itself. One implementation of [`Kind`] in a folder, and one entry in the
+//! [registry](super::registry), are all that makes a format.
+
+use std::fmt::{self, Debug};
+use std::io::Write;
+
+use super::reader::Points;
+use super::source::Source;
+use super::{Format, FormatError, Header, Limits, Scalar, writer};
+use densecloud_cloud::{Attribute, Origin, Position};
+
+/// A format, whatever the choices within it: how its files are named, recognised and opened. The type that
+/// implements it is the choices.
+pub(crate) trait Kind: Choices + Copy + 'static {
+    /// How its files are told from those of others.
+    const MARK: Mark;
+
+    /// What its files begin with, for people; none for text, which begins with points.
+    const BEGINNING: Option<&'static str>;
+
+    /// The media types that it is written as, without parameters.
+    const MEDIA_TYPES: &'static [&'static str];
+
+    /// The choices that a file's extension, in lower case, asks for.
+    fn from_extension(extension: &str) -> Option<Self>;
+
+    /// The choices that a media type, in lower case and without parameters, asks for.
+    fn from_media_type(media_type: &str) -> Option<Self>;
+
+    /// Reads what stands before the points, and checks it against the limits.
+    ///
+    /// # Errors
+    /// The header is malformed, or what it claims is over a limit.
+    fn open(source: &mut Source<'_>, limits: Limits) -> Result<Opened, FormatError>;
+}
+
+/// How files of a format are recognised by their first bytes, up to 4096 of them.
+pub(crate) enum Mark {
+    /// By bytes that nothing else begins with.
+    Bytes(fn(&[u8]) -> bool),
+    /// By its first lines, among what is text and has no mark of the first sort; in the registry's order.
+    Lines(fn(&[u8]) -> bool),
+}
+
+/// A file whose header is read.
+pub(crate) struct Opened {
+    pub(crate) header: Header,
+    pub(crate) points: Box<dyn Points>,
+}
+
+/// A format with its choices made: what a file of it holds, and how it is written. Its [`Display`](fmt::Display)
+/// is for people: `PLY (binary_little_endian, 32-bit)`.
+pub(crate) trait Choices: fmt::Display {
+    /// The media type for HTTP, with parameters.
+    fn media_type(&self) -> &'static str;
+
+    /// The format of a result that is wanted in this one, by an extension, say; see [`Format::of_result`].
+    fn of_result(&self, input: Format, names: bool) -> Format;
+
+    /// What a cloud of this format is written in where nobody says which, where that is another.
+    fn written(&self) -> Option<Format> {
+        None
+    }
+
+    /// The type that holds all that coordinates of this format can tell.
+    fn scalar(&self) -> Scalar {
+        Scalar::F64
+    }
+
+    /// This format with 64-bit coordinates, where it has 32-bit ones now.
+    fn finer(&self) -> Option<Format> {
+        None
+    }
+
+    /// Whether it has a place for comments.
+    fn holds_comments(&self) -> bool {
+        true
+    }
+
+    /// Whether it has a place for the coordinate system.
+    fn holds_crs(&self) -> bool {
+        true
+    }
+
+    /// Whether it has a place for tables beside the points.
+    fn holds_tables(&self) -> bool {
+        false
+    }
+
+    /// What else it has no place for, a phrase each: of the attributes, and of what is known of the whole.
+    fn not_held(&self, _attributes: &[Attribute], origin: &Origin) -> Vec<String> {
+        origin.extra.as_ref().map(|extra| extra.lost_elsewhere()).unwrap_or_default()
+    }
+
+    /// Whether files are compressed in themselves.
+    fn is_packed(&self) -> bool {
+        false
+    }
+
+    /// Whether nothing but the number of points must be known before the first is written: then
+    /// [`begin`](Self::begin) begins a file.
+    fn is_streamed(&self) -> bool;
+
+    /// The exact length of a file, where it depends on the number of points and on nothing else of them.
+    fn encoded_len(&self, _points: u64, _attributes: &[Attribute], _origin: &Origin) -> Option<u64> {
+        None
+    }
+
+    /// Bytes that a point takes in a file, about, and mostly less, where its position takes `position` bytes in
+    /// memory and its attributes take `attributes`.
+    fn bytes_a_point(&self, position: u64, attributes: u64) -> u64 {
+        position + attributes
+    }
+
+    /// The bytes before the points, and what makes those of the points, of a cloud of exactly `points` points with
+    /// attributes of these names and types.
+    ///
+    /// # Errors
+    /// The format is not [streamed](Self::is_streamed).
+    fn begin(
+        &self,
+        points: u64,
+        attributes: &[Attribute],
+        origin: &Origin,
+    ) -> Result<(Vec<u8>, Box<dyn Rows>), FormatError>;
+
+    /// Writes a whole cloud. What is not streamed makes a pass over the columns for its header first.
+    ///
+    /// # Errors
+    /// The sink fails, or the cloud holds what the format does not.
+    fn encode(
+        &self,
+        sink: &mut dyn Write,
+        positions: &[Position],
+        attributes: &[Attribute],
+        origin: &Origin,
+    ) -> Result<(), FormatError> {
+        let begun = self.begin(positions.len() as u64, attributes, origin)?;
+        writer::write_streamed(sink, begun, positions, attributes)
+    }
+}
+
+/// Makes the bytes of points, a block at a time.
+pub(crate) trait Rows: Debug + Send + Sync {
+    /// Appends the bytes of points, the first of which has the attributes' values at row `from`.
+    ///
+    /// # Errors
+    /// A coordinate does not fit into the type that it is written in.
+    fn put(
+        &self,
+        bytes: &mut Vec<u8>,
+        positions: &[Position],
+        attributes: &[Attribute],
+        from: usize,
+    ) -> Result<(), FormatError>;
+
+    /// Writes what follows the points.
+    ///
+    /// # Errors
+    /// The sink fails.
+    fn end(&self, _sink: &mut dyn Write) -> Result<(), FormatError> {
+        Ok(())
+    }
+}

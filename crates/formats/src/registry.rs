@@ -1,0 +1,181 @@
+//! The formats that there are: an entry each, with the choices that its [`Kind`] is made of.
+//!
+//! Text that others have their marks in comes last: whatever is text and has none is taken for columns of numbers.
+
+use super::kind::{Choices, Kind, Mark, Opened};
+use super::source::Source;
+use super::{
+    FormatError, Limits, PcdEncoding, PlyEncoding, Scalar, Separator, e57, las, npy, obj, off, pcd, ply, xyz,
+};
+
+/// Declares [`Format`], and what is asked of all formats.
+macro_rules! formats {
+    ($(
+        $(#[$doc:meta])*
+        $module:ident::$name:ident $({ $( $(#[$field_doc:meta])* $field:ident: $type:ty ),+ $(,)? })?
+    )+) => {
+        /// A file format and the choices within it. A reader reports it and a writer takes it, so that a
+        /// cloud goes back in the form it came in.
+        #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+        pub enum Format {
+            $( $(#[$doc])* $name $({ $( $(#[$field_doc])* $field: $type ),+ })?, )+
+        }
+
+        $(impl From<$module::$name> for Format {
+            fn from(choices: $module::$name) -> Self {
+                let $module::$name $({ $($field),+ })? = choices;
+                Self::$name $({ $($field),+ })?
+            }
+        })+
+
+        /// What is asked of a format whatever its choices.
+        const KINDS: &[Registered] = &[$(Registered::of::<$module::$name>(),)+];
+
+        impl Format {
+            /// Asks the format's own module.
+            pub(crate) fn ask<T>(self, question: impl FnOnce(&dyn Choices) -> T) -> T {
+                match self {
+                    $( Self::$name $({ $($field),+ })? => question(&$module::$name $({ $($field),+ })?), )+
+                }
+            }
+
+            /// What files of this format begin with, if not with points.
+            pub(crate) fn beginning(self) -> Option<&'static str> {
+                match self {
+                    $( Self::$name { .. } => $module::$name::BEGINNING, )+
+                }
+            }
+        }
+    };
+}
+
+formats! {
+    /// Stanford PLY.
+    ply::Ply {
+        /// How numbers are stored.
+        encoding: PlyEncoding,
+        /// The type of the coordinates.
+        scalar: Scalar,
+    }
+    /// LAS, and LAZ, which is LAS compressed; COPC is read as the LAZ that it is.
+    las::Las {
+        /// LAZ.
+        compressed: bool,
+    }
+    /// The Point Cloud Library's PCD.
+    pcd::Pcd {
+        /// How numbers are stored.
+        encoding: PcdEncoding,
+        /// The type of the coordinates; PCL's own points have 32-bit floats.
+        scalar: Scalar,
+    }
+    /// NumPy's `.npy`, written little-endian, a point a row.
+    npy::Npy {
+        /// The type of the coordinates.
+        scalar: Scalar,
+        /// Whether attributes are fields with names and types of their own; without, they are further
+        /// columns of the table that the coordinates are in, of the same type.
+        fields: bool,
+    }
+    /// ASTM E57, written with 64-bit floats for coordinates.
+    e57::E57
+    /// OFF, read only: the vertices of a mesh.
+    off::Off
+    /// Wavefront OBJ, read only: the vertices of a mesh.
+    obj::Obj
+    /// Text, a point a line: `.xyz`, `.txt`, `.asc`, `.pts`, `.pwn`, `.csv`. Written with the
+    /// position first.
+    xyz::Xyz {
+        /// Whether a first line names the columns.
+        names: bool,
+        /// What stands between two numbers.
+        separator: Separator,
+    }
+}
+
+/// How a file is opened once its format is known.
+pub(crate) type Open = fn(&mut Source<'_>, Limits) -> Result<Opened, FormatError>;
+
+/// A [`Kind`] as a value.
+struct Registered {
+    mark: Mark,
+    media_types: &'static [&'static str],
+    from_extension: fn(&str) -> Option<Format>,
+    from_media_type: fn(&str) -> Option<Format>,
+    open: Open,
+    /// Whether its files begin with points.
+    is_bare: bool,
+}
+
+impl Registered {
+    const fn of<K: Kind>() -> Self
+    where
+        Format: From<K>,
+    {
+        Self {
+            mark: K::MARK,
+            media_types: K::MEDIA_TYPES,
+            from_extension: |extension| K::from_extension(extension).map(Format::from),
+            from_media_type: |media_type| K::from_media_type(media_type).map(Format::from),
+            open: K::open,
+            is_bare: K::BEGINNING.is_none(),
+        }
+    }
+}
+
+/// The format that an extension, in lower case, asks for.
+pub(crate) fn from_extension(extension: &str) -> Option<Format> {
+    KINDS.iter().find_map(|kind| (kind.from_extension)(extension))
+}
+
+/// The format that a media type, in lower case and without parameters, asks for.
+pub(crate) fn from_media_type(media_type: &str) -> Option<Format> {
+    KINDS.iter().find_map(|kind| (kind.from_media_type)(media_type))
+}
+
+/// What a file's first bytes say of its format.
+pub(crate) struct Found {
+    pub(crate) open: Open,
+    /// Whether it begins with points, and so with nothing that tells it from other text.
+    pub(crate) is_bare: bool,
+}
+
+/// The format whose bytes a file begins with.
+pub(crate) fn by_bytes(head: &[u8]) -> Option<Found> {
+    find(|mark| matches!(mark, Mark::Bytes(fits) if fits(head)))
+}
+
+/// The format whose lines a text begins with.
+pub(crate) fn by_lines(head: &[u8]) -> Option<Found> {
+    find(|mark| matches!(mark, Mark::Lines(fits) if fits(head)))
+}
+
+fn find(fits: impl Fn(&Mark) -> bool) -> Option<Found> {
+    let kind = KINDS.iter().find(|kind| fits(&kind.mark))?;
+    Some(Found { open: kind.open, is_bare: kind.is_bare })
+}
+
+const MEDIA_TYPE_COUNT: usize = {
+    let (mut count, mut i) = (0, 0);
+    while i < KINDS.len() {
+        count += KINDS[i].media_types.len();
+        i += 1;
+    }
+    count
+};
+
+/// The media types of all formats that are written, in the registry's order.
+pub(crate) const MEDIA_TYPES: [&str; MEDIA_TYPE_COUNT] = {
+    let mut all = [""; MEDIA_TYPE_COUNT];
+    let (mut next, mut i) = (0, 0);
+    while i < KINDS.len() {
+        let mut j = 0;
+        while j < KINDS[i].media_types.len() {
+            all[next] = KINDS[i].media_types[j];
+            next += 1;
+            j += 1;
+        }
+        i += 1;
+    }
+    all
+};
