@@ -6,20 +6,19 @@ use axum::http::{HeaderMap, HeaderValue, header};
 
 use crate::app::App;
 use crate::http::accepted::accepted;
-use crate::http::query::Parameters;
+use crate::http::query;
 use crate::problem::Problem;
 use crate::proto;
 use crate::proto::NumberType;
 use crate::proto::options::{Goal, Result as Wanted};
+use densecloud::Options;
 use densecloud_cloud::{Attribute, Kind, Values};
 use densecloud_formats::{Format, Scalar, npy_header};
 
 /// A first message that makes sense.
 #[derive(Debug)]
 pub(super) struct Start {
-    pub(super) parameters: Parameters,
-    /// The format of the result; `None` is as the cloud came.
-    pub(super) wanted: Option<Format>,
+    pub(super) options: Options,
     /// Whether the result comes as columns of numbers, and not as a file.
     pub(super) as_points: bool,
     /// How the cloud comes, where it is no file.
@@ -49,26 +48,26 @@ impl Start {
     pub(super) fn read(start: proto::Start, app: &App) -> Result<Self, Problem> {
         let options = start.options.unwrap_or_default();
         let columns = start.layout.map(Columns::read).transpose()?;
-        let parameters = parameters(&options)?;
-        let (wanted, as_points) = match &options.result {
+        let read = read_options(&options)?;
+        let (format, as_points) = match &options.result {
             Some(Wanted::MediaType(media_type)) => (media_type_format(media_type)?, false),
             // The finest; a result is in the cloud's own type, of which there is one here.
             Some(Wanted::AsPoints(true)) => (Some(Format::Npy { scalar: Scalar::F64, fields: true }), true),
             Some(Wanted::AsPoints(false)) | None => (None, columns.is_some()),
         };
         if let Some(columns) = &columns {
-            app.check_points(columns.points, parameters.points_out(columns.points))?;
+            app.check_points(columns.points, read.points_out(columns.points))?;
             let limit = app.config.limits.body_bytes;
             if columns.points.saturating_mul(columns.stride() as u64) > limit {
                 return Err(Problem::BodyTooLarge { limit });
             }
         }
-        Ok(Self { parameters, wanted, as_points, columns })
+        Ok(Self { options: Options { format, ..read }, as_points, columns })
     }
 }
 
 /// The options as the names and values of a query, of which the rules are known.
-fn parameters(options: &proto::Options) -> Result<Parameters, Problem> {
+fn read_options(options: &proto::Options) -> Result<Options, Problem> {
     let mut pairs = Vec::new();
     let mut push = |name: &str, value: String| pairs.push((name.to_owned(), value));
     match options.goal {
@@ -95,7 +94,12 @@ fn parameters(options: &proto::Options) -> Result<Parameters, Problem> {
     if let Some(proto::Position { x, y, z }) = options.sensor {
         push("sensor", format!("{x},{y},{z}"));
     }
-    Parameters::from_pairs(&pairs)
+    let mut others: Vec<_> =
+        options.parameters.iter().map(|(name, value)| (name.clone(), value.clone())).collect();
+    // A map comes in any order; errors do not.
+    others.sort_unstable();
+    pairs.extend(others);
+    query::options_of(&pairs)
 }
 
 /// As the header `Accept` would name it.
@@ -230,23 +234,27 @@ mod tests {
             source_fields: true,
             estimate_normals: true,
             sensor: Some(proto::Position { x: 0.1, y: -1e300, z: 3.0 }),
+            parameters: [("overlap".into(), "3".into()), ("no_polish".into(), "true".into())].into(),
             ..options(Goal::Ratio(2.5))
         };
         let query = "?ratio=2.5&seed=18446744073709551615&attributes=red:drop,label:mean&keep_input=true\
-                     &source_fields=true&normals=estimate&sensor=0.1,-1e300,3";
+                     &source_fields=true&normals=estimate&sensor=0.1,-1e300,3&overlap=3&no_polish=true";
         let uri = format!("/upsample{query}").parse().expect("a URI");
-        assert_eq!(parameters(&all), Parameters::parse(&uri));
+        assert_eq!(read_options(&all), query::options(&uri));
         for (goal, expected) in [
             (Goal::Points(7), Density::Target(Target::Points(7))),
             (Goal::Spacing(0.1), Density::Spacing(0.1)),
             (Goal::Density(1e-9), Density::Density(1e-9)),
         ] {
-            assert_eq!(parameters(&options(goal)).expect("parameters").goal, expected);
+            assert_eq!(read_options(&options(goal)).expect("parameters").goal, expected);
         }
         for goal in [Goal::Ratio(f64::NAN), Goal::Ratio(65.0), Goal::Points(0), Goal::Spacing(-1.0)] {
-            assert!(matches!(parameters(&options(goal)), Err(Problem::Parameter { .. })), "{goal:?}");
+            assert!(matches!(read_options(&options(goal)), Err(Problem::Parameter { .. })), "{goal:?}");
         }
-        assert!(parameters(&proto::Options::default()).is_err(), "a goal is needed");
+        assert!(read_options(&proto::Options::default()).is_err(), "a goal is needed");
+        let twice = [("seed".to_owned(), "1".to_owned())].into();
+        let twice = proto::Options { seed: 2, parameters: twice, ..options(Goal::Ratio(2.0)) };
+        assert!(matches!(read_options(&twice), Err(Problem::Parameter { name, .. }) if name == "seed"));
     }
 
     #[test]

@@ -20,7 +20,7 @@ use crate::app::App;
 use crate::connection::record::{Early, Ongoing};
 use crate::connection::request_id::RequestId;
 use crate::http::upload::Upload;
-use crate::http::upsample::{self, Order};
+use crate::http::upsample;
 use crate::problem::Problem;
 use crate::proto::upsampler_server::Upsampler;
 use crate::proto::{UpsampleRequest, UpsampleResponse};
@@ -152,8 +152,8 @@ impl Call {
         let half = app.budget.hold(half).ok_or_else(|| app.held_full())?;
         let start = timeout(stall, incoming::start(&mut messages)).await;
         let start = start.unwrap_or(Err(Problem::UploadStalled { limit: stall }))?;
-        let Start { parameters, wanted, as_points, columns } = Start::read(start, app)?;
-        let mut known = |points| ticket.reserve(points, parameters.points_out(points));
+        let Start { options, as_points, columns } = Start::read(start, app)?;
+        let mut known = |points| ticket.reserve(points, options.points_out(points));
         if let Some(columns) = &columns {
             known(columns.points)?;
         }
@@ -163,7 +163,7 @@ impl Call {
         let received = upload.receive(&none, app, known).await?;
         drop(half);
         let arrived = (received.bytes().len(), received.took);
-        let read = move |app: &App| Ok((Order::read(app, &received, parameters, wanted)?, ()));
+        let read = move |app: &App| Ok((upsample::UpsampleRequest::read(app, &received, options)?, ()));
         let (sender, begun) = oneshot::channel();
         let work = upsample::run(app, ticket, arrived, read, |job| {
             // Nobody listens where the work is over.

@@ -4,20 +4,19 @@
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use axum::http::{HeaderMap, Uri, header};
+use densecloud::{Options, Parameter};
 use futures::stream;
 use multer::{Field, Multipart};
 
 use crate::app::App;
 use crate::connection::decode::Coding;
-use crate::http::query::{self, Parameters};
+use crate::http::query;
 use crate::http::upload::{Arrival, HeaderCheck, Received, Upload};
 use crate::problem::Problem;
 
 /// What a request asks for and the cloud that it brought, however it brought them.
 pub(crate) struct Asking {
-    pub(crate) parameters: Parameters,
-    /// The parameters as a query.
-    pub(crate) query: String,
+    pub(crate) options: Options,
     pub(crate) received: Received,
 }
 
@@ -32,7 +31,7 @@ impl Asking {
     /// tells them, where it does; of a form whose parameters are yet to come, the fewest that may come out.
     ///
     /// # Errors
-    /// See [`Upload::receive`] and [`Parameters::from_pairs`]; and [`Problem::MalformedRequest`] for what is no form.
+    /// See [`Upload::receive`] and [`query::options_of`]; and [`Problem::MalformedRequest`] for what is no form.
     pub(crate) async fn receive(
         upload: &mut Upload,
         uri: &Uri,
@@ -43,10 +42,10 @@ impl Asking {
         if let Some(kind) = form(headers) {
             return Self::receive_form(upload, uri, headers, &kind, app, known).await;
         }
-        let parameters = Parameters::parse(uri)?;
-        let known = |points| known(points, parameters.points_out(points));
+        let options = query::options(uri)?;
+        let known = |points| known(points, options.points_out(points));
         let received = upload.receive(headers, app, known).await?;
-        Ok(Self { parameters, query: uri.query().unwrap_or_default().to_owned(), received })
+        Ok(Self { options, received })
     }
 
     async fn receive_form(
@@ -99,8 +98,7 @@ impl Asking {
                 "missing; the form needs a file, such as curl's -F cloud=@scan.ply".into(),
             )
         })?;
-        let query = form_urlencoded::Serializer::new(String::new()).extend_pairs(&pairs).finish();
-        Ok(Self { parameters: Parameters::from_pairs(&pairs)?, query, received })
+        Ok(Self { options: query::options_of(&pairs)?, received })
     }
 }
 
@@ -117,17 +115,11 @@ fn add(pairs: &mut Vec<(String, String)>, name: String, value: String) -> Result
     if pairs.iter().any(|(earlier, _)| *earlier == name) {
         return Err(Problem::parameter(&name, "given twice".into()));
     }
-    let empty = value.is_empty();
-    let pair = (name, value);
-    // A goal that is right, for those that name none.
-    let mut alone = vec![("ratio".to_owned(), "1".to_owned())];
-    if query::GOALS.contains(&pair.0.as_str()) {
-        alone.clear();
-    }
-    if !empty || !query::NAMES.contains(&pair.0.as_str()) {
-        alone.push(pair);
-        Parameters::from_pairs(&alone)?;
-        pairs.extend(alone.pop());
+    // One that is empty and known says nothing.
+    if !value.is_empty() || Parameter::named(&name).is_none() {
+        let pair = (name, value);
+        Options::parse(std::slice::from_ref(&pair))?;
+        pairs.push(pair);
     }
     Ok(())
 }
@@ -140,9 +132,9 @@ async fn receive_file(
     mut known: impl FnMut(u64, u64) -> Result<(), Problem>,
 ) -> Result<Received, Problem> {
     // Parameters that follow the file are judged when they come.
-    let parameters = Parameters::from_pairs(pairs).ok();
+    let options = query::options_of(pairs).ok();
     let mut check = HeaderCheck::new(app, |points| {
-        known(points, parameters.as_ref().map_or(points, |parameters| parameters.points_out(points)))
+        known(points, options.as_ref().map_or(points, |options| options.points_out(points)))
     });
     let mut arrival = Arrival::begin(Coding::of(field.headers())?, app)?;
     while let Some(piece) = field.chunk().await.map_err(malformed)? {

@@ -33,9 +33,9 @@ mod tests {
 
     use super::*;
     use crate::admission::deadline;
-    use crate::http::query;
     use crate::inference;
     use crate::problem::every_problem;
+    use densecloud::PARAMETERS;
     use densecloud_formats::Format;
 
     fn description() -> Value {
@@ -81,12 +81,18 @@ mod tests {
         let names: Vec<_> = parameters.iter().map(|p| p["name"].as_str().expect("a name")).collect();
         let (header, names) = names.split_last().expect("parameters");
         assert_eq!(header.to_ascii_lowercase(), deadline::HEADER);
-        assert_eq!(names, query::NAMES);
+        let known = PARAMETERS.iter().map(|parameter| parameter.name);
+        let names: BTreeSet<&str> = names.iter().copied().collect();
+        assert_eq!(names, known.clone().collect());
         assert_eq!(keys(&upsample["responses"]["200"]["content"]), Format::MEDIA_TYPES.into());
         let form = keys(&description["components"]["schemas"]["Form"]["properties"]);
-        assert_eq!(form, query::NAMES.into_iter().chain(["cloud"]).collect());
+        assert_eq!(form, known.chain(["cloud"]).collect());
         let request = &description["components"]["schemas"]["InferenceRequest"]["properties"];
-        let expected = inference::PARAMETERS.into_iter().chain(["binary_data_output", "priority", "timeout"]);
+        let expected = inference::parameters().map(|parameter| parameter.name).chain([
+            "binary_data_output",
+            "priority",
+            "timeout",
+        ]);
         assert_eq!(keys(&request["parameters"]["properties"]), expected.collect());
     }
 

@@ -20,15 +20,12 @@ use crate::connection::record::Points;
 use crate::http::accepted::accepted;
 use crate::http::download::{self, Dense, file_bytes, result_bytes};
 use crate::http::form::Asking;
-use crate::http::query::{self, Parameters};
 use crate::http::upload::{Received, Upload};
 use crate::problem::Problem;
-use densecloud::Request;
-use densecloud::provenance;
-use densecloud::survey::{self, Survey};
-use densecloud_cascade::Settings;
-use densecloud_cloud::{Cloud, Origin, Table};
-use densecloud_engine::{Client, EngineError, Job, Outcome};
+use densecloud::survey::Goal;
+use densecloud::{Options, Prepared, Report};
+use densecloud_cloud::Cloud;
+use densecloud_engine::{Client, EngineError, Job};
 use densecloud_formats::Format;
 
 /// The handler. A client that leaves drops this future at one of its waits, with it the job, and so
@@ -63,9 +60,10 @@ async fn answer(
     ticket.check()?;
     ticket.deadline.enter("of upload");
     let known = |points_in, points_out| ticket.reserve(points_in, points_out);
-    let Asking { parameters, received, .. } = Asking::receive(upload, uri, headers, app, known).await?;
+    let Asking { mut options, received } = Asking::receive(upload, uri, headers, app, known).await?;
+    options.format = wanted;
     let arrived = (received.bytes().len(), received.took);
-    let read = move |app: &App| Ok((Order::read(app, &received, parameters, wanted)?, ()));
+    let read = move |app: &App| Ok((UpsampleRequest::read(app, &received, options)?, ()));
     let (done, ()) = run(app, ticket, arrived, read, |_| {}).await?;
     let points = done.points();
     let length = done.format.encoded_len(points.made, &done.dense.attributes, &done.dense.origin);
@@ -83,25 +81,18 @@ async fn answer(
 }
 
 /// A cloud, and what is wanted of it.
-pub(crate) struct Order {
+pub(crate) struct UpsampleRequest {
     pub(crate) cloud: Cloud,
-    pub(crate) parameters: Parameters,
     /// What it came in.
     pub(crate) input: Format,
-    /// What the result shall be in; `None` is as it came.
-    pub(crate) wanted: Option<Format>,
+    pub(crate) options: Options,
 }
 
-impl Order {
+impl UpsampleRequest {
     /// Blocking work: parses the body.
-    pub(crate) fn read(
-        app: &App,
-        received: &Received,
-        parameters: Parameters,
-        wanted: Option<Format>,
-    ) -> Result<Self, Problem> {
+    pub(crate) fn read(app: &App, received: &Received, options: Options) -> Result<Self, Problem> {
         let (cloud, input) = received.parse(app)?;
-        Ok(Self { cloud, parameters, input, wanted })
+        Ok(Self { cloud, input, options })
     }
 }
 
@@ -128,13 +119,14 @@ impl Done {
     }
 }
 
-/// Upsamples what `read` makes of a body of so many `bytes` that took `upload` to arrive, for the holder of a ticket; `read` runs on a
-/// blocking thread, and what else it gives comes back with the result. `begun` is shown the job when the engine has taken it.
+/// Runs one request: parses the body with `read` on a blocking thread, queues it under `ticket`, and awaits the result.
+/// What else `read` gives comes back with the result. `bytes` and `upload` are the body's size and how long it took to
+/// arrive; `begun` is shown the job when the engine has taken it.
 pub(crate) async fn run<T: Send + 'static>(
     app: &Arc<App>,
     ticket: Ticket,
     (bytes, upload): (usize, Duration),
-    read: impl FnOnce(&App) -> Result<(Order, T), Problem> + Send + 'static,
+    read: impl FnOnce(&App) -> Result<(UpsampleRequest, T), Problem> + Send + 'static,
     begun: impl FnOnce(&Job),
 ) -> Result<(Done, T), Problem> {
     let mut timing = Timing::default();
@@ -146,15 +138,15 @@ pub(crate) async fn run<T: Send + 'static>(
     let submit = {
         let app = Arc::clone(app);
         spawn_blocking(move || {
-            let (order, rest) = read(&app)?;
+            let (request, rest) = read(&app)?;
             drop(turn);
-            Ok::<_, Problem>((submit(&app, ticket, order)?, rest))
+            Ok::<_, Problem>((submit(&app, ticket, request)?, rest))
         })
     };
     let (submitted, rest) = submit.await.map_err(|error| Problem::Internal(error.to_string()))??;
     timing.add(app, "parse", start.elapsed());
     let start = Instant::now();
-    let Submitted { job, held, format, origin, mut about } = submitted;
+    let Submitted { job, held, mut report } = submitted;
     begun(&job);
     let outcome = job.await.map_err(|error| match error {
         // It knows of the upload, too.
@@ -162,12 +154,14 @@ pub(crate) async fn run<T: Send + 'static>(
         error => Problem::from_engine(error),
     })?;
     app.metrics.worked(outcome.estimate, outcome.took);
-    about.complete(&outcome, format, &origin);
+    report.complete(outcome.positions.len(), &outcome.attributes, outcome.warnings());
     timing.add(app, "queue", start.elapsed().saturating_sub(outcome.stages.total()));
     for (stage, took) in outcome.stages.iter() {
         timing.add(app, stage.name(), took);
     }
-    app.metrics.points(about.points_in, about.points_out);
+    app.metrics.points(report.points_in, report.points_out);
+    let about = About::of(&report);
+    let Report { format, origin, .. } = report;
     let dense = Dense { positions: outcome.positions, attributes: outcome.attributes, origin };
     Ok((Done { dense, held, format, about, timing }, rest))
 }
@@ -187,13 +181,15 @@ pub(crate) struct About {
 }
 
 impl About {
-    /// Adds what is known once the result is there.
-    pub(crate) fn complete(&mut self, outcome: &Outcome, format: Format, origin: &Origin) {
-        self.points_out = outcome.positions.len() as u64;
-        self.warnings.extend(outcome.warnings());
-        let lost = format.cannot_hold(&outcome.attributes, origin);
-        if !lost.is_empty() {
-            self.warnings.push(format!("the result's format has no place for {}", lost.join(", ")));
+    /// Of a result that is complete.
+    pub(crate) fn of(report: &Report) -> Self {
+        Self {
+            media_type: report.format.media_type().to_owned(),
+            points_in: report.points_in,
+            points_out: report.points_out,
+            provenance: report.provenance.clone(),
+            warnings: report.warnings.clone(),
+            packed: report.format.is_packed(),
         }
     }
 
@@ -213,76 +209,47 @@ struct Submitted {
     job: Job,
     /// Room for the result, taken beforehand: a finished result never lacks memory.
     held: Held,
-    format: Format,
-    origin: Origin,
-    about: About,
-}
-
-/// A cloud that the engine can take.
-pub(crate) struct Prepared {
-    pub(crate) request: Request,
-    /// Memory that the result will take.
-    pub(crate) room: u64,
-    /// Bytes that it will take as a file, about.
-    pub(crate) file: u64,
-    pub(crate) format: Format,
-    pub(crate) origin: Origin,
-    pub(crate) about: About,
+    report: Report,
 }
 
 /// Blocking work: checks and queues the cloud.
-fn submit(app: &App, ticket: Ticket, order: Order) -> Result<Submitted, Problem> {
-    let Prepared { request, room, format, origin, about, .. } = prepare(app, order)?;
-    let held = app.budget.hold(room).ok_or_else(|| app.held_full())?;
+fn submit(app: &App, ticket: Ticket, request: UpsampleRequest) -> Result<Submitted, Problem> {
+    let (Prepared { request, report }, room) = prepare(app, request)?;
+    let held = app.budget.hold(room.memory).ok_or_else(|| app.held_full())?;
     let job = ticket.submit(request)?;
-    Ok(Submitted { job, held, format, origin, about })
+    Ok(Submitted { job, held, report })
+}
+
+/// What a result takes.
+pub(crate) struct Room {
+    /// Bytes of memory until it is sent.
+    pub(crate) memory: u64,
+    /// Bytes as a file, about.
+    pub(crate) file: u64,
 }
 
 /// Blocking work: checks everything that can be checked before the cascade.
 ///
 /// # Errors
 /// All that is wrong with the request, and nothing about the server's state.
-pub(crate) fn prepare(app: &App, order: Order) -> Result<Prepared, Problem> {
-    let Order { cloud, parameters, input, wanted } = order;
+pub(crate) fn prepare(app: &App, request: UpsampleRequest) -> Result<(Prepared, Room), Problem> {
+    let UpsampleRequest { cloud, input, options } = request;
     let points_in = cloud.positions.len() as u64;
-    app.check_points(points_in, parameters.points_out(points_in))?;
-    let target = parameters.goal.target(&cloud.positions).map_err(Problem::from_goal)?;
-    let points = query::points_out(target, points_in);
+    app.check_points(points_in, options.points_out(points_in))?;
+    let prepared =
+        Prepared::new(cloud, input, options, &app.config.model.name).map_err(Problem::from_prepare)?;
+    let points =
+        Options { goal: Goal::Target(prepared.request.target), ..Options::default() }.points_out(points_in);
     app.check_points(points_in, points)?;
-    let mut warnings = cloud.warnings();
-    let mut format = Format::of_result(wanted, input, !cloud.attributes.is_empty());
-    if let Ok(survey) = Survey::of(&cloud.positions, survey::GLANCE) {
-        warnings.extend(survey.warnings());
-        format = format.fine_enough(survey.bounds, survey.result_spacing(points));
-    }
-    let finish = parameters.finish;
-    let (mut origin, lost) = finish.origin(&cloud);
-    warnings.extend(lost);
-    let tables: u64 = origin.tables.iter().map(Table::bytes).sum();
-    let a_point = finish.bytes_a_point(&cloud.attributes);
-    let room = result_bytes(points, a_point, format).saturating_add(tables);
+    let (format, tables) = (prepared.report.format, prepared.table_bytes());
+    let a_point = prepared.attribute_bytes();
+    let memory = result_bytes(points, a_point, format).saturating_add(tables);
     let file = file_bytes(points, a_point, format).saturating_add(tables);
     let limit = app.config.limits.held_bytes;
-    if room > limit {
-        return Err(Problem::ResultTooLarge { points, bytes: room, limit });
+    if memory > limit {
+        return Err(Problem::ResultTooLarge { points, bytes: memory, limit });
     }
-    let mut settings = Settings::default();
-    if let Some(seed) = parameters.seed {
-        settings.seed = seed;
-    }
-    let names: Vec<&str> = cloud.attributes.iter().map(|a| a.name.as_str()).collect();
-    if let Some(unknown) = finish.rules.unknown(&names).next() {
-        let there = if names.is_empty() { "none".to_owned() } else { names.join(", ") };
-        let why = format!("the cloud has no attribute {unknown:?}; it has {there}");
-        return Err(Problem::parameter("attributes", why));
-    }
-    let request = Request { cloud, target, settings, finish };
-    let provenance = provenance::line(&app.config.model.name, &request);
-    origin.comments.push(provenance.clone());
-    let media_type = format.media_type().to_owned();
-    let packed = format.is_packed();
-    let about = About { media_type, points_in, points_out: points, provenance, warnings, packed };
-    Ok(Prepared { request, room, file, format, origin, about })
+    Ok((prepared, Room { memory, file }))
 }
 
 /// The longest value of a header of ours; names of properties are the client's to choose.

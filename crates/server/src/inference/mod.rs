@@ -20,10 +20,11 @@ use axum::{Extension, Json, Router};
 
 use crate::admission::ticket::Ticket;
 use crate::app::App;
-use crate::http::query::Parameters;
+use crate::http::query;
 use crate::http::upload::Upload;
-use crate::http::upsample::{self, Order};
+use crate::http::upsample::{self, UpsampleRequest};
 use crate::problem::Problem;
+use densecloud::{Options, PARAMETERS, Parameter, Topic};
 use densecloud_cloud::Cloud;
 use densecloud_engine::Client;
 use densecloud_formats::{Format, Scalar};
@@ -147,10 +148,10 @@ async fn answer(
         check_points(app, &request)?;
         let mut cloud = Cloud::from(request.positions(binary)?);
         cloud.origin.sha256 = Some(request.hash(&cloud.positions));
-        let Request { parameters, reply, .. } = request;
+        let Request { options, reply, .. } = request;
         let input = Format::Npy { scalar: reply.datatype.scalar(), fields: false };
         // To the rest, a tensor is a NumPy array.
-        Ok((Order { cloud, parameters, input, wanted: None }, reply))
+        Ok((UpsampleRequest { cloud, input, options }, reply))
     };
     let (mut done, reply) = upsample::run(app, ticket, arrived, read, |_| {}).await?;
     if done.format != (Format::Npy { scalar: reply.datatype.scalar(), fields: false }) {
@@ -178,12 +179,12 @@ fn header_length(headers: &HeaderMap) -> Result<Option<usize>, Problem> {
 /// Refuses from the JSON alone what could only be refused later; gives the bytes that the whole body has.
 fn judge(ticket: &mut Ticket, json: &[u8]) -> Result<u64, Problem> {
     let request = read(json)?;
-    ticket.reserve(request.points, request.parameters.points_out(request.points))?;
+    ticket.reserve(request.points, request.options.points_out(request.points))?;
     Ok(json.len() as u64 + request.binary_bytes())
 }
 
 fn check_points(app: &App, request: &Request<'_>) -> Result<(), Problem> {
-    app.check_points(request.points, request.parameters.points_out(request.points))
+    app.check_points(request.points, request.options.points_out(request.points))
 }
 
 fn check_length(expected: u64, found: u64) -> Result<(), Problem> {
@@ -230,15 +231,18 @@ impl Datatype {
     }
 }
 
-/// The names of the parameters that a request may have.
-pub(super) const PARAMETERS: [&str; 6] = ["ratio", "points", "spacing", "density", "seed", "keep_input"];
+/// The parameters that a request may have: a tensor has no attributes.
+pub(super) fn parameters() -> impl Iterator<Item = &'static Parameter> {
+    PARAMETERS.iter().filter(|parameter| parameter.topic != Topic::Attributes)
+}
 
 /// Reads the parameters of a request, which are those of `/upsample` that tell of points alone.
-fn parameters(pairs: &[(String, String)]) -> Result<Parameters, Problem> {
-    if let Some((unknown, _)) = pairs.iter().find(|(name, _)| !PARAMETERS.contains(&name.as_str())) {
-        return Err(Problem::parameter(unknown, format!("unknown; there are {}", PARAMETERS.join(", "))));
+fn options(pairs: &[(String, String)]) -> Result<Options, Problem> {
+    let names: Vec<&str> = parameters().map(|parameter| parameter.name).collect();
+    if let Some((unknown, _)) = pairs.iter().find(|(name, _)| !names.contains(&name.as_str())) {
+        return Err(Problem::parameter(unknown, format!("unknown; there are {}", names.join(", "))));
     }
-    Parameters::from_pairs(pairs)
+    query::options_of(pairs)
 }
 
 #[cfg(test)]

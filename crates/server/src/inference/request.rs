@@ -9,9 +9,9 @@ use sha2::{Digest, Sha256};
 
 use super::bounded::{self, Few};
 use super::reply::Reply;
-use super::{Datatype, TENSOR, parameters};
-use crate::http::query::Parameters;
+use super::{Datatype, TENSOR, options};
 use crate::problem::Problem;
+use densecloud::Options;
 use densecloud_cloud::Position;
 
 /// A request that fits the model.
@@ -19,7 +19,7 @@ use densecloud_cloud::Position;
 pub(super) struct Request<'a> {
     /// Points in, as its shape claims.
     pub(super) points: u64,
-    pub(super) parameters: Parameters,
+    pub(super) options: Options,
     /// What its answer must know of it.
     pub(super) reply: Reply,
     data: Data<'a>,
@@ -103,7 +103,7 @@ pub(super) fn read(json: &[u8]) -> Result<Request<'_>, Problem> {
         pairs.take(hint);
     }
     let reply = Reply { id, datatype, binary };
-    Ok(Request { points, parameters: parameters(&pairs.0)?, reply, data })
+    Ok(Request { points, options: options(&pairs.0)?, reply, data })
 }
 
 fn check_tensor(input: &Input<'_>) -> Result<Datatype, Problem> {

@@ -24,14 +24,13 @@ use crate::app::App;
 use crate::connection::request_id::RequestId;
 use crate::http::accepted::accepted;
 use crate::http::form::Asking;
-use crate::http::query::{self, Parameters};
+use crate::http::query;
 use crate::http::upload::{Received, Upload};
-use crate::http::upsample::{Order, prepare};
+use crate::http::upsample::{UpsampleRequest, prepare};
 use crate::jobs::document::Document;
-use crate::jobs::work::Asked;
 use crate::problem::{Problem, SOON};
+use densecloud::Options;
 use densecloud_engine::{Client, Cost};
-use densecloud_formats::Format;
 use densecloud_jobs::{Admitted, Deleted, Draft, Jobs, Load, NewJob, Record, StoreError, Submitted};
 
 impl App {
@@ -70,7 +69,7 @@ pub(crate) const WRITING: usize = 4;
 
 /// Does, when it is its `turn`, with a job's cloud what takes a while, and nothing with the database: those that wait
 /// for a turn, until their deadline, keep nobody from asking the store.
-async fn work<T: Send + 'static>(
+async fn blocking<T: Send + 'static>(
     app: &Arc<App>,
     turn: impl Send + 'static,
     work: impl FnOnce(&App) -> Result<T, Problem> + Send + 'static,
@@ -154,14 +153,14 @@ async fn take(
         app.check_points(points_in, points_out)?;
         app.engine.check_memory(Cost { points_in, points_out }).map_err(Problem::Refused)
     };
-    Asked::check(uri.query().unwrap_or_default())?;
-    let Asking { parameters, query, received } = Asking::receive(upload, uri, headers, app, known).await?;
-    let asked = Asked::of(query, wanted)?;
+    work::check_length(uri.query().unwrap_or_default())?;
+    let Asking { mut options, received } = Asking::receive(upload, uri, headers, app, known).await?;
+    options.format = wanted;
     let owner = app.config.access.owner(client).unwrap_or_default();
     let (name, id) = (client.name().to_owned(), id.as_str().to_owned());
     let turn = app.parsing.turn(client, received.bytes().len() as u64).await;
-    let draft = work(app, turn, move |app| {
-        let (job, held) = new_job(app, received, &parameters, wanted, &asked)?;
+    let draft = blocking(app, turn, move |app| {
+        let (job, held) = new_job(app, received, options)?;
         let job = NewJob { key, owner, client: name, request_id: id, ..job };
         Ok(Arc::new((Draft::new(job), held)))
     })
@@ -180,7 +179,7 @@ async fn take(
             let (jobs, new) = (Arc::clone(app.jobs()?), Arc::clone(&draft));
             let turn = Arc::clone(&app.writing).acquire_owned().await;
             let turn = turn.map_err(|error| Problem::Internal(error.to_string()))?;
-            let input = work(app, turn, move |_| {
+            let input = blocking(app, turn, move |_| {
                 jobs.store().write_input(&id, &new.0).map_err(|error| StoreError::from(error).into())
             });
             let input = input.await?;
@@ -205,28 +204,23 @@ async fn take(
 }
 
 /// Blocking work: reads the cloud, only to know that it can be read, and makes a job of its file.
-fn new_job(
-    app: &App,
-    received: Received,
-    parameters: &Parameters,
-    wanted: Option<Format>,
-    asked: &Asked,
-) -> Result<(NewJob, Held), Problem> {
-    let prepared = prepare(app, Order::read(app, &received, parameters.clone(), wanted)?)?;
+fn new_job(app: &App, received: Received, options: Options) -> Result<(NewJob, Held), Problem> {
+    let request = work::text(&options)?;
+    let (prepared, room) = prepare(app, UpsampleRequest::read(app, &received, options)?)?;
     let finite = prepared.request.cloud.positions.iter().filter(|p| p.iter().all(|c| c.is_finite())).count();
     let points_out = prepared.request.target.points_out(finite as u64)?;
     let cost = Cost { points_in: finite as u64, points_out };
     app.engine.check_memory(cost).map_err(Problem::Refused)?;
     let (input, held) = received.into_parts();
     let job = NewJob {
-        request: asked.text(),
+        request,
         key: None,
         owner: String::new(),
         client: String::new(),
         request_id: String::new(),
-        points_in: prepared.about.points_in,
+        points_in: prepared.report.points_in,
         points_out,
-        result_bytes: prepared.file,
+        result_bytes: room.file,
         input,
     };
     Ok((job, held))

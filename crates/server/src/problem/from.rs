@@ -1,6 +1,6 @@
 //! Which problem an error of an inner layer is.
 
-use densecloud::survey::GoalError;
+use densecloud::PrepareError;
 use densecloud_cascade::CascadeError;
 use densecloud_engine::EngineError;
 use densecloud_formats::FormatError;
@@ -56,9 +56,15 @@ impl From<StoreError> for Problem {
 }
 
 impl Problem {
-    /// A wish for spacing or density that cannot be met by this cloud.
-    pub(crate) fn from_goal(error: GoalError) -> Self {
-        Self::Impossible(error.to_string())
+    /// Options that do not fit this cloud.
+    pub(crate) fn from_prepare(error: PrepareError) -> Self {
+        match error {
+            PrepareError::UnknownAttribute { name, known } => {
+                let there = if known.is_empty() { "none".to_owned() } else { known.join(", ") };
+                Self::parameter("attributes", format!("the cloud has no attribute {name:?}; it has {there}"))
+            }
+            error => Self::Impossible(error.to_string()),
+        }
     }
 
     /// What the engine's refusal or failure is to a client.
