@@ -32,6 +32,13 @@ impl Cost {
         self.points_in as f64 * (f64::from(self.levels()).exp2() - 1.0)
     }
 
+    /// The cost of work that takes `effort` times as much for each point: as if there were so many times as many.
+    #[must_use]
+    pub fn times(self, effort: f64) -> Self {
+        let times = |points: u64| if effort == 1.0 { points } else { (points as f64 * effort).ceil() as u64 };
+        Self { points_in: times(self.points_in), points_out: times(self.points_out) }
+    }
+
     /// Memory that the work takes at its height, in bytes; the input and the result aside. An estimate
     /// from above for clouds of some thousand points and more.
     #[must_use]
@@ -124,6 +131,14 @@ mod tests {
             assert_eq!(cost.levels(), levels, "{cost:?}");
         }
         assert_eq!(cost(u64::MAX, u64::MAX).memory(), u64::MAX, "no overflow");
+    }
+
+    #[test]
+    fn more_work_for_each_point_counts_as_more_points() {
+        let exact = cost(u64::MAX - 1, u64::MAX);
+        assert_eq!(exact.times(1.0), exact);
+        assert_eq!(cost(100, 400).times(1.5), cost(150, 600));
+        assert_eq!(cost(u64::MAX, u64::MAX).times(50.0), cost(u64::MAX, u64::MAX));
     }
 
     #[test]

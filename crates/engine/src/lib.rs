@@ -239,6 +239,7 @@ impl Engine {
         let finite =
             request.cloud.positions.iter().filter(|p| p.iter().all(|c| c.is_finite())).count() as u64;
         let cost = Cost { points_in: finite, points_out: request.target.points_out(finite)? };
+        let cost = cost.times(request.effort());
         let permit = match reserved {
             Some(mut permit) => {
                 permit.resize(caller, cost)?;

@@ -17,3 +17,14 @@ pub struct Request {
     /// What is done with the cascade's points.
     pub finish: Finish,
 }
+
+impl Request {
+    /// Work and memory for each point, in multiples of what the default settings take; at least 1. Patches are run in
+    /// proportion to the overlap, and so many of their points are merged as the overlap times the inner share.
+    #[must_use]
+    pub fn effort(&self) -> f64 {
+        let (usual, Settings { overlap, inner, .. }) = (Settings::default(), self.settings);
+        let (run, merged) = (overlap / usual.overlap, overlap * inner / (usual.overlap * usual.inner));
+        run.max(merged).max(1.0)
+    }
+}

@@ -5,9 +5,9 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 
 use super::CliError;
-use super::cascade_args::CascadeArgs;
 use super::engine_args::EngineArgs;
 use super::files;
+use super::options::CascadeArgs;
 use crate::evaluate::{
     CascadeSettings, DEFAULT_TOLERANCE, FileKind, FileSet, Method, Report, Row, SetError, Settings, controls,
     score,
@@ -31,7 +31,7 @@ Examples:
   densecloud evaluate --pred a.ply --reference b.ply --json -")]
 pub(super) struct EvaluateArgs {
     /// Folder of dense clouds to score, or one; without it, the cascade makes them from --input
-    #[arg(long, value_name = "PATH", required_unless_present = "input", conflicts_with_all = CascadeArgs::ALL)]
+    #[arg(long, value_name = "PATH", required_unless_present = "input")]
     pred: Option<PathBuf>,
 
     /// Folder of reference clouds, or one: dense samples of the true surface
@@ -124,7 +124,7 @@ pub(super) fn run(args: &EvaluateArgs) -> Result<(), CliError> {
     let meshes = matching(&mesh).map_err(failed)?;
     let inputs = matching(&input).map_err(failed)?;
 
-    let settings = args.cascade.settings(args.seed);
+    let settings = args.cascade.settings(args.seed)?;
     let cascade = match args.pred {
         None => Some(Cascade { engine: args.engine.engine(args.engine.model()?)?, target, settings }),
         Some(_) => None,

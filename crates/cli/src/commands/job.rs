@@ -10,6 +10,7 @@ use serde_json::Value;
 use ureq::Body;
 use ureq::http::Response;
 
+use super::options::{GOALS, OptionArgs};
 use super::remote::{Expected, Server, Show};
 use super::{CliError, files};
 
@@ -73,50 +74,13 @@ enum JobCommand {
 
 /// As `densecloud upsample`.
 #[derive(Debug, Args)]
-#[command(group = ArgGroup::new("target").required(true))]
+#[command(group = ArgGroup::new(GOALS))]
 struct SubmitArgs {
     /// The sparse cloud, in any format that is read; `-` for standard input
     input: PathBuf,
 
-    /// Points out for each point in, any number from 1 to 64
-    #[arg(short, long, value_name = "R", group = "target")]
-    ratio: Option<f64>,
-
-    /// Points out, exactly
-    #[arg(short = 'n', long, value_name = "N", group = "target")]
-    points: Option<u64>,
-
-    /// Mean distance from a point to its nearest neighbour, in the cloud's units
-    #[arg(long, value_name = "D", group = "target")]
-    spacing: Option<f64>,
-
-    /// Points a square unit of surface
-    #[arg(long, value_name = "N", group = "target")]
-    density: Option<f64>,
-
-    /// Chooses among equally good results; the same seed gives the same bytes
-    #[arg(long)]
-    seed: Option<u64>,
-
-    /// How new points come by their attributes
-    #[arg(long, value_name = "NAME:RULE,...")]
-    attributes: Option<String>,
-
-    /// Keep the input's points exactly, before the new ones
-    #[arg(long)]
-    keep_input: bool,
-
-    /// Add `source_index` and `is_generated` to each point
-    #[arg(long)]
-    source_fields: bool,
-
-    /// `estimate`: normals from the dense cloud itself
-    #[arg(long, value_name = "HOW")]
-    normals: Option<String>,
-
-    /// Where the sensor stood, for the side of estimated normals
-    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, requires = "normals")]
-    sensor: Option<String>,
+    #[command(flatten)]
+    options: OptionArgs,
 
     /// Media type of the result, such as application/vnd.laszip [default: the input's]
     #[arg(long, value_name = "TYPE")]
@@ -129,27 +93,6 @@ struct SubmitArgs {
     /// Say nothing but errors
     #[arg(short, long)]
     quiet: bool,
-}
-
-impl SubmitArgs {
-    fn query(&self) -> Vec<(&'static str, String)> {
-        let text = |value: &dyn ToString| value.to_string();
-        [
-            ("ratio", self.ratio.map(|v| text(&v))),
-            ("points", self.points.map(|v| text(&v))),
-            ("spacing", self.spacing.map(|v| text(&v))),
-            ("density", self.density.map(|v| text(&v))),
-            ("seed", self.seed.map(|v| text(&v))),
-            ("attributes", self.attributes.clone()),
-            ("keep_input", self.keep_input.then(|| "true".to_owned())),
-            ("source_fields", self.source_fields.then(|| "true".to_owned())),
-            ("normals", self.normals.clone()),
-            ("sensor", self.sensor.clone()),
-        ]
-        .into_iter()
-        .filter_map(|(name, value)| Some((name, value?)))
-        .collect()
-    }
 }
 
 pub(super) fn run(args: &JobArgs) -> Result<(), CliError> {
@@ -168,7 +111,14 @@ fn submit(server: &Server, args: &SubmitArgs) -> Result<(), CliError> {
     let headers: Vec<_> =
         headers.into_iter().filter_map(|(name, value)| Some((name, value.clone()?))).collect();
     let show = Show { quiet: args.quiet };
-    let answer = server.upload("/jobs", &args.query(), &headers, &args.input, Expected::Json, &show)?;
+    let answer = server.upload(
+        "/jobs",
+        &args.options.options()?.pairs(),
+        &headers,
+        &args.input,
+        Expected::Json,
+        &show,
+    )?;
     let job = server.json(answer)?;
     let Some(id) = job["id"].as_str() else { return Err(server.failed(&"answered without a job's id")) };
     // The job is there, whoever is told.

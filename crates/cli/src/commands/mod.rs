@@ -2,7 +2,6 @@
 //!
 //! Exit codes: 0 done, 1 the work failed, 64 the command or a setting was wrong (`EX_USAGE`).
 
-mod cascade_args;
 mod connection;
 mod engine_args;
 mod error;
@@ -11,6 +10,7 @@ mod files;
 mod inspect;
 mod job;
 mod memory;
+mod options;
 mod remote;
 mod render;
 mod sample;

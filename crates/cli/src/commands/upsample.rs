@@ -4,24 +4,19 @@ use std::io::{self, IsTerminal};
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-use clap::{ArgGroup, Args, ValueEnum};
-use indicatif::{ProgressBar, ProgressStyle};
-
-use super::cascade_args::CascadeArgs;
-use super::engine_args::EngineArgs;
-use super::{CliError, files, upsample_remote};
-use densecloud::Request;
-use densecloud::attributes::{Finish, Rules};
-use densecloud::provenance;
-use densecloud::survey::{self, Goal, GoalError, Survey};
-use densecloud_cascade::Target;
-use densecloud_cloud::Position;
+use clap::{ArgGroup, Args};
+use densecloud::{Options, PrepareError, Prepared};
 use densecloud_engine::{EngineError, Job, Outcome, ProgressHandle};
 use densecloud_formats::Format;
+use indicatif::{ProgressBar, ProgressStyle};
+
+use super::engine_args::EngineArgs;
+use super::options::{GOALS, OptionArgs};
+use super::{CliError, files, upsample_remote};
 
 /// Make a cloud denser.
 #[derive(Debug, Args)]
-#[command(group = ArgGroup::new("target"), after_help = "\
+#[command(group = ArgGroup::new(GOALS), after_help = "\
 Examples:
   densecloud upsample scan.ply dense.ply --ratio 4
   densecloud upsample scan.xyz dense.ply --points 1000000
@@ -37,56 +32,15 @@ pub(super) struct UpsampleArgs {
     /// `-` for standard output
     pub(super) output: PathBuf,
 
-    /// Points out for each point in, any number from 1 to 64 [default: 4]
-    #[arg(short, long, value_name = "R", group = "target")]
-    pub(super) ratio: Option<f64>,
-
-    /// Points out, exactly: 1 to 64 times the points in
-    #[arg(short = 'n', long, value_name = "N", group = "target")]
-    pub(super) points: Option<u64>,
-
-    /// Mean distance from a point to its nearest neighbour, in the cloud's units
-    #[arg(long, value_name = "D", group = "target")]
-    pub(super) spacing: Option<f64>,
-
-    /// Points a square unit of surface
-    #[arg(long, value_name = "N", group = "target")]
-    pub(super) density: Option<f64>,
-
-    /// Keep the input's points exactly, before the new ones; each takes the place of one of these
-    #[arg(long)]
-    pub(super) keep_input: bool,
-
-    /// Add `source_index` (the row of the input's point that is nearest) and `is_generated` to each point
-    #[arg(long)]
-    pub(super) source_fields: bool,
-
-    /// `estimate`: normals from the dense cloud itself, on the side of the input's, or of the sensor
-    #[arg(long, value_name = "HOW")]
-    pub(super) normals: Option<Normals>,
-
-    /// Where the sensor stood, for the side of estimated normals [default: as the file says]
-    #[arg(long, value_name = "X,Y,Z", value_parser = parse_position, allow_hyphen_values = true, requires = "normals")]
-    pub(super) sensor: Option<Position>,
-
-    /// Chooses among equally good results; the same seed gives the same bytes
-    #[arg(long, default_value_t = 0)]
-    pub(super) seed: u64,
-
     #[command(flatten)]
-    cascade: CascadeArgs,
-
-    /// How new points come by their attributes, by name: mean (of the nearest), nearest or drop, such as
-    /// `label:nearest,curvature:drop` [default: by name and type]
-    #[arg(long, value_name = "NAME:RULE,...")]
-    pub(super) attributes: Option<Rules>,
+    pub(super) options: OptionArgs,
 
     /// Say nothing but errors
     #[arg(short, long)]
     pub(super) quiet: bool,
 
     /// Have a server do the work; it has its own model and threads
-    #[arg(long, value_name = "URL", conflicts_with_all = CascadeArgs::ALL)]
+    #[arg(long, value_name = "URL")]
     server: Option<String>,
 
     /// The key that opens the server, where it asks for one
@@ -97,124 +51,56 @@ pub(super) struct UpsampleArgs {
     pub(super) engine: EngineArgs,
 }
 
-/// Where the normals of new points come from.
-#[derive(Debug, Clone, Copy, ValueEnum)]
-pub(super) enum Normals {
-    Estimate,
-}
-
-fn parse_position(text: &str) -> Result<Position, String> {
-    let numbers: Vec<f64> =
-        text.split(',').map(|n| n.trim().parse()).collect::<Result<_, _>>().map_err(|_| "not X,Y,Z")?;
-    let position: Position = numbers.try_into().map_err(|_| "not three numbers X,Y,Z")?;
-    if position.iter().all(|c| c.is_finite()) {
-        Ok(position)
-    } else {
-        Err("not three finite numbers".to_owned())
-    }
-}
-
 /// What is added to the name of a result whose format has no place for comments.
 pub(super) const PROVENANCE: &str = ".provenance.txt";
 
 pub(super) fn run(args: &UpsampleArgs) -> Result<(), CliError> {
-    let goal = match (args.ratio, args.points, args.spacing, args.density) {
-        (_, Some(points), ..) => Goal::Target(Target::Points(points)),
-        (_, _, Some(spacing), _) => Goal::Spacing(spacing),
-        (_, _, _, Some(density)) => Goal::Density(density),
-        (ratio, ..) => Goal::Target(Target::Ratio(ratio.unwrap_or(4.0))),
-    };
-    // What no cloud could meet is told before a long read.
-    match goal {
-        Goal::Target(ratio @ Target::Ratio(_)) => {
-            ratio.points_out(1).map_err(|e| CliError::Usage(e.to_string()))?;
-        }
-        Goal::Target(Target::Points(0)) => {
-            return Err(CliError::Usage("--points 0 is none; give 1 to 64 times the points in".into()));
-        }
-        _ => {}
-    }
     let wanted = Format::from_extension(&args.output);
     if wanted.is_some_and(|wanted| wanted.written() != wanted) {
         let why = "OFF and OBJ are read, not written; write PLY (.ply), which holds every attribute";
         return Err(CliError::Usage(why.into()));
     }
+    let options = Options { format: wanted, ..args.options.options()? };
     if let Some(url) = &args.server {
-        return upsample_remote::run(args, url, wanted);
+        return upsample_remote::run(args, &options, url);
     }
     let start = Instant::now();
-    let (cloud, header) = files::read_cloud(&args.input)?;
-    let note = |text: String| {
-        if !args.quiet {
-            super::note(&text);
-        }
-    };
-    for warning in cloud.warnings() {
-        note(format!("warning: {warning}"));
-    }
-
-    let points_in = cloud.positions.len();
-    let target = goal.target(&cloud.positions).map_err(|e| match e {
-        GoalError::NotPositive { .. } => CliError::Usage(e.to_string()),
-        // As with --points, it depends on the cloud whether that is wrong.
-        GoalError::OutOfRange { .. } | GoalError::Cloud(_) => CliError::file(&args.input, e),
-    })?;
-    let mut format = Format::of_result(wanted, header.format, !cloud.attributes.is_empty());
-    if let Ok(survey) = Survey::of(&cloud.positions, survey::GLANCE) {
-        for warning in survey.warnings() {
-            note(format!("warning: {warning}"));
-        }
-        let points = target.points_out(survey.finite as u64).unwrap_or_default();
-        format = format.fine_enough(survey.bounds, survey.result_spacing(points));
-    }
-    let settings = args.cascade.settings(args.seed);
     let model = args.engine.model()?;
-    let name = model.name();
-    let engine = args.engine.engine(model)?;
-    let fail = |e: EngineError| CliError::file(&args.input, e);
-    let rules = args.attributes.clone().unwrap_or_default();
-    let names: Vec<&str> = cloud.attributes.iter().map(|a| a.name.as_str()).collect();
-    if let Some(unknown) = rules.unknown(&names).next() {
-        let known = if names.is_empty() { "none".to_owned() } else { names.join(", ") };
-        return Err(CliError::Usage(format!(
-            "--attributes: no attribute {unknown:?}; the input has {known}"
-        )));
-    }
-    let finish = Finish {
-        rules,
-        keep_input: args.keep_input,
-        source_fields: args.source_fields,
-        estimate_normals: args.normals.is_some(),
-        sensor: args.sensor,
+    let (cloud, header) = files::read_cloud(&args.input)?;
+    let prepared = Prepared::new(cloud, header.format, options, &model.name());
+    let Prepared { request, mut report } = prepared.map_err(|error| refused(args, &error))?;
+    let warn = |warnings: &[String]| {
+        for warning in warnings.iter().filter(|_| !args.quiet) {
+            super::note(&format!("warning: {warning}"));
+        }
     };
-    let (mut origin, lost) = finish.origin(&cloud);
-    if let Some(lost) = lost {
-        note(format!("warning: {lost}"));
-    }
-    let request = Request { cloud, target, settings, finish };
-    let provenance = provenance::line(&name, &request);
-    origin.comments.push(provenance.clone());
-    let job = engine.submit(request).map_err(fail)?;
+    warn(&report.warnings);
+    let told = report.warnings.len();
+    let fail = |e: EngineError| CliError::file(&args.input, e);
+    let job = args.engine.engine(model)?.submit(request).map_err(fail)?;
     let outcome = wait(job, args.quiet).map_err(fail)?;
-    for warning in outcome.warnings() {
-        note(format!("warning: {warning}"));
-    }
-    let lost = format.cannot_hold(&outcome.attributes, &origin);
-    if !lost.is_empty() {
-        note(format!("warning: the output's format has no place for {}", lost.join(", ")));
-    }
-    files::write_cloud(&args.output, format, &outcome.positions, &outcome.attributes, &origin)?;
-    if !format.holds_comments() && files::is_kept(&args.output) {
+    report.complete(outcome.positions.len(), &outcome.attributes, outcome.warnings());
+    warn(&report.warnings[told..]);
+    files::write_cloud(&args.output, report.format, &outcome.positions, &outcome.attributes, &report.origin)?;
+    if !report.format.holds_comments() && files::is_kept(&args.output) {
         let beside = files::beside(&args.output, PROVENANCE);
-        files::write(&beside, |sink| Ok(writeln!(sink, "{provenance}")?))?;
+        files::write(&beside, |sink| Ok(writeln!(sink, "{}", report.provenance)?))?;
     }
-    note(format!(
-        "{points_in} -> {} points in {:.1} s ({})",
-        outcome.positions.len(),
-        start.elapsed().as_secs_f64(),
-        shares(&outcome),
-    ));
+    if !args.quiet {
+        let (seconds, shares) = (start.elapsed().as_secs_f64(), shares(&outcome));
+        let (from, to) = (report.points_in, report.points_out);
+        super::note(&format!("{from} -> {to} points in {seconds:.1} s ({shares})"));
+    }
     Ok(())
+}
+
+/// What the options and the cloud together have wrong.
+fn refused(args: &UpsampleArgs, error: &PrepareError) -> CliError {
+    match error {
+        PrepareError::UnknownAttribute { .. } => CliError::Usage(format!("--attributes: {error}")),
+        // As with --points, it depends on the cloud whether that is wrong.
+        error => CliError::file(&args.input, error),
+    }
 }
 
 /// Waits with a progress bar on standard error if that is a terminal.

@@ -5,17 +5,19 @@ use std::time::Instant;
 use super::remote::{Expected, Server, Show, media_type};
 use super::upsample::{PROVENANCE, UpsampleArgs};
 use super::{CliError, files};
+use densecloud::Options;
 use densecloud_formats::Format;
 
 /// Sends the input, and writes what comes back: the bytes that the work here would have written.
-pub(super) fn run(args: &UpsampleArgs, url: &str, wanted: Option<Format>) -> Result<(), CliError> {
+pub(super) fn run(args: &UpsampleArgs, options: &Options, url: &str) -> Result<(), CliError> {
     refuse_what_is_ours(args)?;
     let server = Server::new(url, args.key.as_deref())?;
     let show = Show { quiet: args.quiet };
     let start = Instant::now();
-    let accept = wanted.map_or("*/*", Format::media_type).to_owned();
+    let accept = options.format.map_or("*/*", Format::media_type).to_owned();
     let headers = [("accept", accept)];
-    let answer = server.upload("/upsample", &query(args), &headers, &args.input, Expected::Cloud, &show)?;
+    let answer =
+        server.upload("/upsample", &options.pairs(), &headers, &args.input, Expected::Cloud, &show)?;
     let text = |name: &str| {
         answer.headers().get(name).and_then(|value| value.to_str().ok()).unwrap_or_default().to_owned()
     };
@@ -45,30 +47,4 @@ fn refuse_what_is_ours(args: &UpsampleArgs) -> Result<(), CliError> {
         return usage("--threads says nothing to a server; leave it out");
     }
     Ok(())
-}
-
-/// All that `POST /upsample` takes.
-fn query(args: &UpsampleArgs) -> Vec<(&'static str, String)> {
-    let goal = match (args.ratio, args.points, args.spacing, args.density) {
-        (_, Some(points), ..) => ("points", points.to_string()),
-        (_, _, Some(spacing), _) => ("spacing", spacing.to_string()),
-        (_, _, _, Some(density)) => ("density", density.to_string()),
-        (ratio, ..) => ("ratio", ratio.unwrap_or(4.0).to_string()),
-    };
-    let mut query = vec![goal, ("seed", args.seed.to_string())];
-    if let Some(rules) = &args.attributes {
-        query.push(("attributes", rules.to_string()));
-    }
-    for (name, set) in [("keep_input", args.keep_input), ("source_fields", args.source_fields)] {
-        if set {
-            query.push((name, "true".to_owned()));
-        }
-    }
-    if args.normals.is_some() {
-        query.push(("normals", "estimate".to_owned()));
-    }
-    if let Some([x, y, z]) = args.sensor {
-        query.push(("sensor", format!("{x},{y},{z}")));
-    }
-    query
 }
