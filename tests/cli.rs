@@ -171,8 +171,8 @@ fn mistakes_are_told_with_what_to_do() {
     let noise = folder.path().join("noise.ply");
     std::fs::write(&noise, [0_u8, 159, 146, 150].repeat(100)).expect("written");
     for (arguments, code, expected) in [
-        (vec!["upsample", &input, out, "--ratio", "65"], 64, "outside 1 to 64"),
-        (vec!["upsample", &input, out, "--ratio", "nan"], 64, "outside 1 to 64"),
+        (vec!["upsample", &input, out, "--ratio", "65"], 64, "not a number from 1 to 64"),
+        (vec!["upsample", &input, out, "--ratio", "nan"], 64, "not a number from 1 to 64"),
         (vec!["upsample", &input, out, "--ratio", "2", "--points", "200"], 64, "cannot be used with"),
         (vec!["upsample", &input, out, "--points", "99"], 1, "ask for 100 to 6400"),
         (vec!["upsample", text(&few), out], 1, "needs at least 17"),

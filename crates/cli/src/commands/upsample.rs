@@ -77,7 +77,8 @@ pub(super) fn run(args: &UpsampleArgs) -> Result<(), CliError> {
     warn(&report.warnings);
     let told = report.warnings.len();
     let fail = |e: EngineError| CliError::file(&args.input, e);
-    let job = args.engine.engine(model)?.submit(request).map_err(fail)?;
+    let engine = args.engine.engine(model)?;
+    let job = engine.submit(request).map_err(fail)?;
     let outcome = wait(job, args.quiet).map_err(fail)?;
     report.complete(outcome.positions.len(), &outcome.attributes, outcome.warnings());
     warn(&report.warnings[told..]);
