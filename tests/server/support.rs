@@ -30,6 +30,8 @@ pub(crate) struct Scripted {
 
 struct Script {
     open: bool,
+    /// Batches that go through while it is shut.
+    passes: usize,
     fail: bool,
     panic: bool,
 }
@@ -42,7 +44,10 @@ impl Scripted {
     pub(crate) fn over(fake: Fake) -> Self {
         Self {
             fake,
-            state: Arc::new((Mutex::new(Script { open: true, fail: false, panic: false }), Condvar::new())),
+            state: Arc::new((
+                Mutex::new(Script { open: true, passes: 0, fail: false, panic: false }),
+                Condvar::new(),
+            )),
         }
     }
 
@@ -56,6 +61,12 @@ impl Scripted {
 
     pub(crate) fn open(&self) {
         self.state.0.lock().unwrap().open = true;
+        self.state.1.notify_all();
+    }
+
+    /// One batch goes through although it is shut.
+    pub(crate) fn pass(&self) {
+        self.state.0.lock().unwrap().passes += 1;
         self.state.1.notify_all();
     }
 
@@ -90,7 +101,9 @@ impl Backend for Scripted {
 impl Session for Scripted {
     fn run(&mut self, unit: usize, batch: &Batch<'_>, output: &mut Output) -> Result<(), BackendError> {
         let (state, changed) = &*self.state;
-        let mut script = changed.wait_while(state.lock().unwrap(), |script| !script.open).unwrap();
+        let shut = |script: &mut Script| !script.open && script.passes == 0;
+        let mut script = changed.wait_while(state.lock().unwrap(), shut).unwrap();
+        script.passes = script.passes.saturating_sub(1);
         if std::mem::take(&mut script.panic) {
             drop(script);
             panic!("a bug at /srv/secret/path");
