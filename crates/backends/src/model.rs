@@ -106,7 +106,7 @@ impl Model {
         }
         let mut all = Sha256::new();
         for (unit, bytes) in card.units.iter().zip(&units) {
-            let found = hexadecimal(&Sha256::digest(bytes));
+            let found = hex::encode(Sha256::digest(bytes));
             if found != unit.sha256 {
                 return Err(fail(format!(
                     "{} is damaged: its SHA-256 is {found}, the card says {}",
@@ -115,7 +115,7 @@ impl Model {
             }
             all.update(bytes);
         }
-        Ok(Self { card, units, sha256: hexadecimal(&all.finalize()) })
+        Ok(Self { card, units, sha256: hex::encode(all.finalize()) })
     }
 
     /// How it is named where results tell what made them.
@@ -133,14 +133,6 @@ impl Model {
             channels: self.card.channels,
         }
     }
-}
-
-fn hexadecimal(bytes: &[u8]) -> String {
-    use std::fmt::Write;
-    bytes.iter().fold(String::new(), |mut text, byte| {
-        let _ = write!(text, "{byte:02x}");
-        text
-    })
 }
 
 #[cfg(test)]

@@ -3,21 +3,39 @@
 //! | file | holds |
 //! |---|---|
 //! | `record` | what is known of one job |
-//! | `store` | the database of records, and the files beside it |
-//! | `files` | files that are there whole or not at all |
-//! | `worker` | the threads that run what is queued, and what is known of running jobs alone |
+//! | `records` | the trait of whatever keeps records, with leases on the jobs that run |
+//! | `blobs` | the trait of whatever keeps clouds and results |
+//! | `sqlite`, `folder` | the first implementation of each, for one program at a time |
+//! | `store` | both together: which is written first, and which is removed first |
+//! | `work` | what jobs are about, and one job while it runs |
+//! | `worker` | the threads that run what is queued |
+//! | `clock`, `settings`, `error` | what they say |
 //!
-//! What a job asks for is text to this module; [`Work`] understands it. It knows nothing of HTTP.
+//! What a job asks for is text to this crate; [`Work`] understands it. It knows nothing of HTTP, and outside `sqlite`
+//! and `folder` nothing of databases and files.
 
-mod database;
-mod files;
+mod blobs;
+mod clock;
+mod error;
+mod folder;
 mod record;
+mod records;
+mod settings;
+mod sqlite;
 mod store;
 #[cfg(test)]
 mod tests;
+mod work;
 mod worker;
 
-pub use files::Input;
+pub use blobs::{BlobReader, BlobWriter, Blobs};
+pub use clock::{Clock, SystemClock};
+pub use error::{StoreError, Trouble};
+pub use folder::Folder;
 pub use record::{Draft, Failure, NewJob, Record, ResultFile, State, Time};
-pub use store::{Admitted, Bounds, Found, Load, Store, StoreError, Submitted};
-pub use worker::{Deleted, Jobs, Settings, Stopped, Task, Work, now};
+pub use records::{Admitted, Bounds, Forgotten, Lapsed, Lease, Load, Records, Submitted};
+pub use settings::Settings;
+pub use sqlite::Sqlite;
+pub use store::{Found, Input, Store};
+pub use work::{Stopped, Task, Work};
+pub use worker::{Deleted, Jobs};

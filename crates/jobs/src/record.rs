@@ -3,14 +3,15 @@
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
-use super::database::ROW;
-use densecloud::provenance::hexadecimal;
-
 /// Milliseconds since 1970.
 pub type Time = i64;
 
-/// Where a job is on its way.
+/// Bytes that the record of a job takes beside its texts, about.
+const ROW: u64 = 1024;
+
+/// The state of a job.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[non_exhaustive]
 pub enum State {
     /// Waits for its turn.
     Queued,
@@ -40,13 +41,13 @@ impl State {
         }
     }
 
-    /// Whether it stays so.
+    /// Whether it is final: a job never leaves it.
     #[must_use]
     pub fn is_final(self) -> bool {
         matches!(self, Self::Done | Self::Failed | Self::Cancelled)
     }
 
-    pub(super) fn of_name(name: &str) -> Option<Self> {
+    pub(crate) fn of_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|state| state.name() == name)
     }
 }
@@ -54,12 +55,11 @@ impl State {
 /// What somebody wants done.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct NewJob {
-    /// All of it but the cloud, as its sender will understand it when the job runs.
+    /// What is asked for beside the cloud, as text that [`Work`](crate::Work) understands.
     pub request: String,
-    /// A name for the request by its sender: a second one of that name is the same job.
-    /// Another owner's is another job.
+    /// The sender's name for the request: a second request of the same owner with the same key is the same job.
     pub key: Option<String>,
-    /// Who alone may see it, and whose names of requests count; empty where everybody may.
+    /// The only one who may see it, and whose keys are told from others'; empty where everybody may.
     pub owner: String,
     /// Who sends it, for shares and turns.
     pub client: String,
@@ -75,14 +75,14 @@ pub struct NewJob {
     pub input: Vec<u8>,
 }
 
-/// A new job with all that the store has to work out of it.
+/// A new job, with what is computed from it before it is kept.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Draft {
-    pub(super) job: NewJob,
+    pub(crate) job: NewJob,
     /// The same for the same request with the same cloud.
-    pub(super) fingerprint: String,
-    /// Bytes that its row takes, in whatever state.
-    pub(super) row_bytes: u64,
+    pub(crate) fingerprint: String,
+    /// Bytes that its record takes, in whatever state.
+    pub(crate) row_bytes: u64,
 }
 
 impl Draft {
@@ -93,7 +93,7 @@ impl Draft {
         hash.update((job.request.len() as u64).to_le_bytes());
         hash.update(&job.request);
         hash.update(&job.input);
-        let fingerprint = hexadecimal(&hash.finalize());
+        let fingerprint = hex::encode(hash.finalize());
         let NewJob { request, owner, client, request_id, .. } = &job;
         let key = job.key.as_ref().map_or(0, String::len);
         let texts = request.len() + owner.len() + client.len() + request_id.len() + key;
@@ -106,21 +106,21 @@ impl Draft {
         &self.job.input
     }
 
-    /// Bytes that it takes until it is over.
-    pub(super) fn bytes(&self) -> u64 {
+    /// Bytes that the job takes until it is over: its cloud, its result and its record.
+    pub(crate) fn bytes(&self) -> u64 {
         let files = (self.job.input.len() as u64).saturating_add(self.job.result_bytes);
         files.saturating_add(self.row_bytes)
     }
 }
 
-/// One row of the database.
+/// What is known of one job.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Record {
     /// Jobs of one client are run in this order.
     pub number: i64,
     /// Its name: 32 hexadecimal digits, not to be guessed.
     pub id: String,
-    /// Where it is.
+    /// Its state.
     pub state: State,
     /// See [`NewJob::request`].
     pub request: String,
@@ -150,21 +150,24 @@ pub struct Record {
     pub failure: Option<Failure>,
 }
 
-/// The result of a job, as a file.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+/// The result of a job.
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ResultFile {
+    /// The name of its blob: several attempts may have written one, and this is the one that counts.
+    pub blob: String,
     /// Its length.
     pub bytes: u64,
     /// Its SHA-256 in hexadecimal digits.
     pub sha256: String,
-    /// What else is to be told of it, as whoever made it understands it.
+    /// What [`Work`](crate::Work) says of it beside, as text.
     pub about: String,
 }
 
 /// Why a job has no result.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[non_exhaustive]
 pub enum Failure {
-    /// Its cloud cannot be upsampled, as whoever tried it says.
+    /// Its cloud cannot be upsampled; this is what [`Work`](crate::Work) says of it.
     Refused(String),
     /// Its files could not be read or written.
     Storage {

@@ -27,7 +27,7 @@ pub fn line(model: &ModelName, request: &Request) -> String {
         let _ = write!(line, " {name}={value}");
     };
     if let Some(hash) = cloud.origin.sha256 {
-        add("input_sha256", &hexadecimal(&hash));
+        add("input_sha256", &hex::encode(hash));
     }
     add("input_points", &cloud.positions.len());
     match target {
@@ -59,15 +59,6 @@ pub fn line(model: &ModelName, request: &Request) -> String {
 /// The lines of provenance among a file's comments: one for each time that the cloud was upsampled.
 pub fn of(origin: &Origin) -> impl Iterator<Item = &str> {
     origin.comments.iter().filter_map(|comment| comment.strip_prefix(MARK))
-}
-
-/// Bytes as digits.
-#[must_use]
-pub fn hexadecimal(bytes: &[u8]) -> String {
-    bytes.iter().fold(String::new(), |mut text, byte| {
-        let _ = write!(text, "{byte:02x}");
-        text
-    })
 }
 
 #[cfg(test)]

@@ -187,7 +187,7 @@ impl Inspection<'_> {
             .collect();
         json!({
             "format": self.format.to_string(),
-            "sha256": self.cloud.origin.sha256.map(|hash| provenance::hexadecimal(&hash)),
+            "sha256": self.cloud.origin.sha256.map(hex::encode),
             "points": s.finite,
             "non_finite": s.non_finite,
             "duplicates": s.duplicates,

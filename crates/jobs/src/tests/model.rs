@@ -5,8 +5,8 @@ use std::path::Path;
 
 use proptest::prelude::*;
 
-use super::super::database::json;
 use super::*;
+use crate::sqlite::rows::{failure_text, result_text};
 
 /// One thing that can happen to a store.
 #[derive(Debug, Clone)]
@@ -17,9 +17,10 @@ enum Step {
         size: usize,
     },
     Claim,
-    Done(usize),
-    Failed(usize),
-    PutBack(usize),
+    // With a lease that the job had, the newest first.
+    Done(usize, usize),
+    Failed(usize, usize),
+    PutBack(usize, usize),
     Cancel(usize),
     Delete(usize),
     Expire(Time),
@@ -31,13 +32,14 @@ enum Step {
 
 fn step() -> impl Strategy<Value = Step> {
     let which = 0_usize..8;
+    let of_lease = (which.clone(), prop_oneof![3 => Just(0_usize), 1 => 1_usize..4]);
     prop_oneof![
         4 => (prop::option::of(0_u8..3), 0_u8..2, 0_usize..200)
             .prop_map(|(key, request, size)| Step::Submit { key, request, size }),
         4 => Just(Step::Claim),
-        2 => which.clone().prop_map(Step::Done),
-        1 => which.clone().prop_map(Step::Failed),
-        1 => which.clone().prop_map(Step::PutBack),
+        2 => of_lease.clone().prop_map(|(i, lease)| Step::Done(i, lease)),
+        1 => of_lease.clone().prop_map(|(i, lease)| Step::Failed(i, lease)),
+        1 => of_lease.prop_map(|(i, lease)| Step::PutBack(i, lease)),
         1 => which.clone().prop_map(Step::Cancel),
         1 => which.clone().prop_map(Step::Delete),
         1 => which.prop_map(Step::Written),
@@ -55,12 +57,21 @@ struct Model {
     job: NewJob,
     /// Of its files.
     bytes: u64,
+    /// All that it ever had; the last may still be its own.
+    leases: Vec<Lease>,
+    /// The file of its result.
+    result: Option<String>,
 }
 
 impl Model {
     /// With its row, without what is told of its end.
     fn used(&self) -> u64 {
         self.bytes + Draft::new(self.job.clone()).row_bytes
+    }
+
+    /// Whether a lease gives a say.
+    fn is_held(&self, lease: &Lease) -> bool {
+        self.state == State::Running && self.leases.last() == Some(lease)
     }
 }
 
@@ -73,15 +84,17 @@ fn check(store: &Store, folder: &Path, model: &BTreeMap<String, Model>) -> Resul
         prop_assert_eq!(record.attempts, known.attempts);
         match record.state {
             State::Queued | State::Running => {
-                prop_assert_eq!(&store.input(&record.id).expect("its cloud"), &known.job.input);
+                let mut input = Vec::new();
+                store.input(&record.id).expect("its cloud").read_to_end(&mut input).expect("bytes");
+                prop_assert_eq!(&input, &known.job.input);
             }
             State::Done => {
-                let (_, result) = store.result(&record.id).expect("its file").expect("the job");
-                let (result, _) = result.expect("a result");
-                let bytes =
-                    std::fs::read(folder.join("files").join(format!("{}.out", record.id))).expect("a file");
+                let told = record.result.as_ref().expect("a result");
+                prop_assert_eq!(Some(&told.blob), known.result.as_ref());
+                let bytes = std::fs::read(folder.join("files").join(&told.blob)).expect("a file");
                 prop_assert_eq!(&bytes, record.id.as_bytes());
-                prop_assert_eq!(result.bytes, bytes.len() as u64);
+                prop_assert_eq!(told.bytes, bytes.len() as u64);
+                prop_assert_eq!(result(store, &record.id), Some(bytes));
             }
             State::Failed | State::Cancelled => {}
         }
@@ -95,8 +108,8 @@ fn check(store: &Store, folder: &Path, model: &BTreeMap<String, Model>) -> Resul
     }
     // What is told of an end are its two texts.
     let told = |record: &Record| {
-        let result = record.result.as_ref().map_or(0, |result| json(result).len());
-        result + record.failure.as_ref().map_or(0, |failure| json(failure).len())
+        let result = record.result.as_ref().map_or(0, |result| result_text(result).len());
+        result + record.failure.as_ref().map_or(0, |failure| failure_text(failure).len())
     };
     let told: usize = listed.iter().map(told).sum();
     let used = model.values().map(Model::used).sum::<u64>() + told as u64;
@@ -121,6 +134,12 @@ proptest! {
             let open_store = store.as_ref().expect("open");
             let pick = |i: usize| order.get(i).cloned().unwrap_or_else(|| "none".into());
             let state = |model: &BTreeMap<String, Model>, id: &String| model.get(id).map(|known| known.state);
+            // One of those that a job ever had, and whether it is still its own.
+            let lease = |model: &BTreeMap<String, Model>, id: &String, which: usize| {
+                let known = model.get(id)?;
+                let lease = known.leases.iter().rev().cycle().nth(which)?;
+                Some((lease.clone(), known.is_held(lease)))
+            };
             match step {
                 Step::Submit { key, request, size } => {
                     let key = key.map(|key| format!("key {key}"));
@@ -139,8 +158,15 @@ proptest! {
                         (Ok(Submitted::New(record)), None) => {
                             order.push(record.id.clone());
                             let bytes = size as u64 + RESULT;
-                            let known =
-                                Model { state: State::Queued, attempts: 0, finished: 0, job: new, bytes };
+                            let known = Model {
+                                state: State::Queued,
+                                attempts: 0,
+                                finished: 0,
+                                job: new,
+                                bytes,
+                                leases: Vec::new(),
+                                result: None,
+                            };
                             model.insert(record.id, known);
                         }
                         other => prop_assert!(false, "{other:?}"),
@@ -148,40 +174,50 @@ proptest! {
                 }
                 Step::Claim => {
                     let first = order.iter().find(|id| state(&model, id) == Some(State::Queued)).cloned();
-                    let claimed = open_store.claim(now).expect("no fault").map(|record| record.id);
-                    prop_assert_eq!(&claimed, &first, "in the order in which they came");
-                    if let Some(known) = first.and_then(|id| model.get_mut(&id)) {
+                    let claimed = claim(open_store, now);
+                    let id = claimed.as_ref().map(|lease| lease.record.id.clone());
+                    prop_assert_eq!(&id, &first, "in the order in which they came");
+                    if let Some((known, lease)) = first.and_then(|id| model.get_mut(&id)).zip(claimed) {
+                        prop_assert!(known.leases.iter().all(|earlier| earlier.attempt < lease.attempt));
                         known.state = State::Running;
                         known.attempts += 1;
+                        known.leases.push(lease);
                     }
                 }
-                Step::Written(i) if state(&model, &pick(i)) == Some(State::Running) => {
-                    write(open_store, &pick(i), b"not the one");
-                }
-                Step::Done(i) if state(&model, &pick(i)) != Some(State::Done) => {
-                    let id = pick(i);
-                    let result = write(open_store, &id, id.as_bytes());
-                    let done = open_store.done(&id, &result, now).expect("no fault");
-                    prop_assert_eq!(done, state(&model, &id) == Some(State::Running));
-                    if let Some(known) = model.get_mut(&id).filter(|_| done) {
-                        (known.state, known.finished, known.bytes) = (State::Done, now, id.len() as u64);
+                Step::Written(i) => {
+                    if let Some((lease, _)) = lease(&model, &pick(i), 0).filter(|(_, held)| *held) {
+                        write(open_store, &lease, b"not the one");
                     }
                 }
-                Step::Failed(i) => {
+                Step::Done(i, which) => {
                     let id = pick(i);
-                    let failed = open_store.failed(&id, &Failure::Crashed, now).expect("no fault");
-                    prop_assert_eq!(failed, state(&model, &id) == Some(State::Running));
-                    if let Some(known) = model.get_mut(&id).filter(|_| failed) {
-                        (known.state, known.finished, known.bytes) = (State::Failed, now, 0);
+                    if let Some((lease, held)) = lease(&model, &id, which) {
+                        let made = write(open_store, &lease, id.as_bytes());
+                        prop_assert_eq!(open_store.done(&lease, &made, now).expect("no fault"), held);
+                        if let Some(known) = model.get_mut(&id).filter(|_| held) {
+                            (known.state, known.finished, known.bytes) = (State::Done, now, id.len() as u64);
+                            known.result = Some(made.blob);
+                        }
                     }
                 }
-                Step::PutBack(i) => {
+                Step::Failed(i, which) => {
                     let id = pick(i);
-                    let put = open_store.put_back(&id).expect("no fault");
-                    prop_assert_eq!(put, state(&model, &id) == Some(State::Running));
-                    if let Some(known) = model.get_mut(&id).filter(|_| put) {
-                        known.state = State::Queued;
-                        known.attempts -= 1;
+                    if let Some((lease, held)) = lease(&model, &id, which) {
+                        let failed = open_store.failed(&lease, &Failure::Crashed, now);
+                        prop_assert_eq!(failed.expect("no fault"), held);
+                        if let Some(known) = model.get_mut(&id).filter(|_| held) {
+                            (known.state, known.finished, known.bytes) = (State::Failed, now, 0);
+                        }
+                    }
+                }
+                Step::PutBack(i, which) => {
+                    let id = pick(i);
+                    if let Some((lease, held)) = lease(&model, &id, which) {
+                        prop_assert_eq!(open_store.put_back(&lease).expect("no fault"), held);
+                        if let Some(known) = model.get_mut(&id).filter(|_| held) {
+                            known.state = State::Queued;
+                            known.attempts -= 1;
+                        }
                     }
                 }
                 Step::Cancel(i) => {
@@ -222,14 +258,13 @@ proptest! {
                         .iter()
                         .filter_map(|(id, known)| match known.state {
                             State::Queued | State::Running => Some(format!("{id}.in")),
-                            State::Done => Some(format!("{id}.out")),
+                            State::Done => known.result.clone(),
                             State::Failed | State::Cancelled => None,
                         })
                         .collect();
                     promised.sort();
                     prop_assert_eq!(files(folder), promised);
                 }
-                Step::Written(_) | Step::Done(_) => {}
             }
             check(store.as_ref().expect("open"), folder, &model)?;
         }

@@ -2,43 +2,66 @@
 
 use std::collections::{HashMap, HashSet};
 use std::io::{self, Write};
+use std::sync::atomic::{AtomicI64, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Mutex};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use super::*;
 
 /// Work that says when it is at it, and goes on when told how.
-struct Told(Mutex<Wire>);
-
-/// Ids of jobs one way, ends of their work the other.
-type Wire = (Sender<String>, Receiver<Result<(), Stopped>>);
+struct Told {
+    at: Mutex<Sender<String>>,
+    go: Mutex<Receiver<Result<(), Stopped>>>,
+}
 
 impl Work for Told {
     fn run(
         &self,
         job: &Record,
-        input: Vec<u8>,
+        mut input: Box<dyn BlobReader>,
         _task: &Task,
         sink: &mut dyn Write,
     ) -> Result<String, Stopped> {
-        let told = self.0.lock().expect("no panic under it");
-        told.0.send(job.id.clone()).expect("the test listens");
-        let outcome = told.1.recv().expect("the test speaks");
-        drop(told);
-        sink.write_all(&input)?;
+        self.at.lock().expect("no panic under it").send(job.id.clone()).expect("the test listens");
+        let outcome = self.go.lock().expect("no panic under it").recv().expect("the test speaks");
+        io::copy(&mut input, sink)?;
         assert_ne!(job.request, "panic");
         outcome.map(|()| String::new())
     }
 }
 
-/// Its other ends.
+/// Its other ends: ids of jobs one way, ends of their work the other.
 type Ends = (Receiver<String>, Sender<Result<(), Stopped>>);
 
 fn told() -> (Arc<dyn Work>, Ends) {
     let (at, arrived) = channel();
     let (go, going) = channel();
-    (Arc::new(Told(Mutex::new((at, going)))), (arrived, go))
+    (Arc::new(Told { at: Mutex::new(at), go: Mutex::new(going) }), (arrived, go))
+}
+
+/// A clock that stands still until it is set.
+struct Watch(AtomicI64);
+
+impl Watch {
+    fn at(now: Time) -> Arc<Self> {
+        Arc::new(Self(now.into()))
+    }
+}
+
+impl Clock for Watch {
+    fn now(&self) -> Time {
+        self.0.load(Ordering::SeqCst)
+    }
+}
+
+/// Until something is so, each time that a job changes.
+fn wait_until(jobs: &Jobs, mut so: impl FnMut() -> bool) {
+    let runtime = tokio::runtime::Builder::new_current_thread().build().expect("a runtime");
+    let mut changes = jobs.changes();
+    while !so() {
+        runtime.block_on(changes.changed()).expect("the jobs are there");
+    }
 }
 
 fn keep(jobs: &Jobs, job: &NewJob) -> String {
@@ -62,11 +85,9 @@ fn jobs_expire_while_all_threads_are_at_work() {
     go.send(Ok(())).expect("the work listens");
     arrived.recv().expect("a job");
     // The row goes before its file.
-    let (start, left) = (Instant::now(), [format!("{long}.in"), format!("{long}.out.part")]);
-    while jobs.store().get(&first).expect("no fault").is_some() || files(dir.path()) != left {
-        assert!(start.elapsed() < Duration::from_secs(60), "it expires");
-        std::thread::sleep(Duration::from_millis(10));
-    }
+    let left = [format!("{long}.1.out.part"), format!("{long}.in")];
+    let gone = || jobs.store().get(&first).expect("no fault").is_none();
+    wait_until(&jobs, || gone() && files(dir.path()) == left);
     jobs.stop();
     go.send(Ok(())).expect("the work listens");
     jobs.join();
@@ -127,4 +148,62 @@ fn each_end_of_the_work_is_its_jobs_state() {
     }
     // One cloud that waits, four results.
     assert_eq!(files(dir.path()).len(), 5);
+}
+
+#[test]
+fn a_worker_whose_lease_ran_out_does_not_spoil_what_another_makes() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let settings = Settings::new(dir.path().to_owned());
+    let store = Store::open(dir.path(), BOUNDS, 0).expect("a store");
+    let start = |clock: &Arc<Watch>| {
+        let jobs = Arc::new(Jobs::new(store.clone(), settings.clone(), Arc::clone(clock) as Arc<dyn Clock>));
+        let (work, ends) = told();
+        jobs.start(&work).expect("threads");
+        (jobs, ends)
+    };
+    // The clock of the first stands still, as that of a machine that sleeps.
+    let (slow, (slow_at, slow_go)) = start(&Watch::at(0));
+    let id = keep(&slow, &job("a", None, b"cloud"));
+    assert_eq!(slow_at.recv().expect("a job"), id);
+    let (quick, (quick_at, quick_go)) = start(&Watch::at(3_600_000));
+    assert_eq!(quick_at.recv().expect("a job"), id);
+    // The late one ends first, and then the right one.
+    slow_go.send(Ok(())).expect("the work listens");
+    wait_until(&slow, || slow.task(&id).is_none());
+    slow.stop();
+    slow.join();
+    assert_eq!(files(dir.path()), [format!("{id}.2.out.part"), format!("{id}.in")]);
+    assert_eq!(store.get(&id).expect("no fault").expect("the job").state, State::Running);
+    quick_go.send(Ok(())).expect("the work listens");
+    wait_until(&quick, || quick.task(&id).is_none());
+    quick.stop();
+    quick.join();
+    let job = store.get(&id).expect("no fault").expect("the job");
+    assert_eq!((job.state, job.attempts, job.finished), (State::Done, 2, Some(3_600_000)));
+    assert_eq!(result(&store, &id).as_deref(), Some(&b"cloud"[..]));
+    assert_eq!(files(dir.path()), [format!("{id}.2.out")]);
+}
+
+#[test]
+fn no_time_takes_a_job_from_a_thread_that_is_at_it() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let settings = Settings { running: 2, ..Settings::new(dir.path().to_owned()) };
+    let store = Store::open(dir.path(), BOUNDS, 0).expect("a store");
+    let clock = Watch::at(0);
+    let jobs = Arc::new(Jobs::new(store, settings, Arc::clone(&clock) as Arc<dyn Clock>));
+    let (work, (arrived, go)) = told();
+    jobs.start(&work).expect("threads");
+    let first = keep(&jobs, &job("first", None, b"x"));
+    assert_eq!(arrived.recv().expect("a job"), first);
+    // As when the computer has slept: by this time its lease has run out, and its turn is the earliest.
+    clock.0.store(3_600_000, Ordering::SeqCst);
+    let second = keep(&jobs, &job("second", None, b"x"));
+    assert_eq!(arrived.recv().expect("a job"), second);
+    go.send(Ok(())).expect("the work listens");
+    go.send(Ok(())).expect("the work listens");
+    let get = |id: &str| jobs.store().get(id).expect("no fault").expect("the job");
+    wait_until(&jobs, || [&first, &second].iter().all(|id| get(id).state == State::Done));
+    assert_eq!([get(&first).attempts, get(&second).attempts], [1, 1]);
+    jobs.stop();
+    jobs.join();
 }

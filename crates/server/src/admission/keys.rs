@@ -128,15 +128,9 @@ impl Keys {
 }
 
 fn digest(digits: &str) -> Option<[u8; 32]> {
-    let (pairs, rest) = digits.as_bytes().as_chunks::<2>();
-    let bytes: Option<Vec<u8>> = pairs
-        .iter()
-        .map(|pair| {
-            let digits = std::str::from_utf8(pair).ok().filter(|_| pair.iter().all(u8::is_ascii_hexdigit))?;
-            u8::from_str_radix(digits, 16).ok()
-        })
-        .collect();
-    bytes?.try_into().ok().filter(|_| rest.is_empty())
+    let mut bytes = [0; 32];
+    hex::decode_to_slice(digits, &mut bytes).ok()?;
+    Some(bytes)
 }
 
 fn readable_by_all(path: &Path) -> io::Result<bool> {
@@ -147,7 +141,7 @@ fn readable_by_all(path: &Path) -> io::Result<bool> {
 /// The form of a key that a file may have in its place.
 #[cfg(test)]
 pub(crate) fn hashed(key: &str) -> String {
-    format!("sha256:{}", densecloud::provenance::hexadecimal(&Sha256::digest(key)))
+    format!("sha256:{}", hex::encode(Sha256::digest(key)))
 }
 
 #[cfg(test)]

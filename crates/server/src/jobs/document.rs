@@ -10,7 +10,7 @@ use crate::http::upsample::About;
 use crate::jobs::{ask, seen};
 use crate::problem::Problem;
 use densecloud_engine::Client;
-use densecloud_jobs::{Failure, Jobs, Record, ResultFile, State, Task, Time, now};
+use densecloud_jobs::{Failure, Jobs, Record, ResultFile, State, Task, Time};
 
 /// One job.
 #[derive(Debug, Clone, Serialize)]
@@ -116,28 +116,28 @@ impl Document {
                 let (count, points) = jobs.store().ahead(record)?;
                 document.position = Some(count);
                 let start = time(app, points.saturating_add(jobs.points_running(&record.id)))
-                    .map(|wait| now() + wait);
+                    .map(|wait| jobs.now() + wait);
                 document.expected_start = start.map(rfc3339);
                 document.expected_end =
                     start.zip(time(app, record.points_out)).map(|(start, work)| rfc3339(start + work));
             }
-            State::Running => document.expect_end(app),
-            State::Done | State::Failed | State::Cancelled => {}
+            State::Running => document.expect_end(app, jobs),
+            _ => {}
         }
         Ok(document)
     }
 
     /// Takes a running job's progress from memory.
-    pub(crate) fn advance(&mut self, app: &App, task: &Task) {
+    pub(crate) fn advance(&mut self, app: &App, jobs: &Jobs, task: &Task) {
         if let Some(progress) = task.progress() {
             self.progress = progress.into();
-            self.expect_end(app);
+            self.expect_end(app, jobs);
         }
     }
 
-    fn expect_end(&mut self, app: &App) {
+    fn expect_end(&mut self, app: &App, jobs: &Jobs) {
         let left = self.points_out as f64 * (1.0 - self.progress.fraction);
-        self.expected_end = time(app, left as u64).map(|work| rfc3339(now() + work));
+        self.expected_end = time(app, left as u64).map(|work| rfc3339(jobs.now() + work));
     }
 }
 
@@ -200,6 +200,7 @@ fn told(failure: &Failure, request_id: &str) -> Value {
         Failure::Storage { why, full: false } => Problem::Internal(why.clone()),
         Failure::GaveUp { attempts } => Problem::GaveUp { attempts: *attempts },
         Failure::Crashed => Problem::Internal("a worker panicked".to_owned()),
+        other => Problem::Internal(format!("{other:?}")),
     };
     problem.value(request_id)
 }

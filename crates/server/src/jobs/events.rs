@@ -16,7 +16,7 @@ use crate::jobs::document::{Document, Progress};
 use crate::jobs::{Name, ask, seen};
 use crate::problem::Problem;
 use densecloud_engine::Client;
-use densecloud_jobs::{State, Task};
+use densecloud_jobs::{Jobs, State, Task};
 
 /// How often a running job's progress is looked at, in memory. The database is asked only when a job has changed: a
 /// thousand watchers cost nothing while none has.
@@ -31,9 +31,10 @@ pub(crate) async fn events(
     Extension(client): Extension<Client>,
     Name(id): Name,
 ) -> Result<Response, Problem> {
-    let changes = app.jobs()?.changes();
+    let jobs = Arc::clone(app.jobs()?);
+    let changes = jobs.changes();
     let alive = ALIVE.min(app.config.timeouts.stall / 3);
-    let mut state = Events { app, client, id, changes, alive, seen: None, told: None, over: false };
+    let mut state = Events { app, jobs, client, id, changes, alive, seen: None, told: None, over: false };
     state.look().await?;
     let body = Body::from_stream(stream::unfold(state, |mut events| async move {
         let text = events.next().await?;
@@ -48,6 +49,7 @@ pub(crate) async fn events(
 
 struct Events {
     app: Arc<App>,
+    jobs: Arc<Jobs>,
     client: Client,
     id: String,
     changes: watch::Receiver<()>,
@@ -104,7 +106,7 @@ impl Events {
             }
             let (document, task) = self.seen.as_mut()?;
             if let Some(task) = task {
-                document.advance(&self.app, task);
+                document.advance(&self.app, &self.jobs, task);
             }
             let news = (document.state, document.attempts, document.position, document.progress.clone());
             if self.told.as_ref() != Some(&news) {

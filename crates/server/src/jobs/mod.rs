@@ -67,8 +67,8 @@ pub(crate) async fn ask<T: Send + 'static>(
 /// Clouds of jobs that are written at a time: each takes a thread, and a while.
 pub(crate) const WRITING: usize = 4;
 
-/// Does, when it is its `turn`, with a job's cloud what takes a while, and nothing with the database: those that wait
-/// for a turn, until their deadline, keep nobody from asking the store.
+/// Runs `work` on a blocking thread and holds `turn` meanwhile. The work takes a while and does not ask the store, so
+/// requests that wait for a turn keep nobody from asking it.
 async fn blocking<T: Send + 'static>(
     app: &Arc<App>,
     turn: impl Send + 'static,
@@ -109,8 +109,8 @@ pub(crate) async fn submit(
     answer
 }
 
-/// Tells a client whose job is refused when to come back: when as many of the jobs that wait are done as were one
-/// too many, its own by turns with the others'.
+/// The problem of a client whose job is refused. Its `Retry-After` is the time until enough waiting jobs are done to
+/// make room; the client's own jobs take turns with other clients'.
 fn refused(app: &App, jobs: &Jobs, client: &Client, error: StoreError) -> Problem {
     let wait = |clients: u64, load: Load| {
         let points = load.points as f64 / load.jobs.max(1) as f64 * clients.max(1) as f64;

@@ -1,7 +1,6 @@
 //! `GET /jobs/{id}/result`: the file, or a part of it.
 
-use std::fs::File;
-use std::io::{self, Read, Seek, SeekFrom};
+use std::io::{self, SeekFrom};
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -19,6 +18,7 @@ use crate::jobs::document::about;
 use crate::jobs::{Name, ask, is_seen};
 use crate::problem::Problem;
 use densecloud_engine::Client;
+use densecloud_jobs::BlobReader;
 
 /// Bytes read at a time.
 const CHUNK: u64 = 64 << 10;
@@ -60,7 +60,7 @@ pub(crate) async fn result(
         let part = range.map_or(Ok(None), |range| part(range, result.bytes))?;
         let Range { start, end } = part.clone().unwrap_or(0..result.bytes);
         if start > 0 {
-            // A seek only sets a number: it does not wait for the disk.
+            // A seek only sets a number: it waits for nothing.
             file.seek(SeekFrom::Start(start)).map_err(|error| Problem::Internal(error.to_string()))?;
         }
         let held = app.budget.hold((end - start).min(PIECES * CHUNK)).ok_or_else(|| app.held_full())?;
@@ -121,8 +121,8 @@ fn part(header: &str, length: u64) -> Result<Option<Range<u64>>, Problem> {
     }
 }
 
-/// So many bytes of a file from where it stands, read as fast as the client reads.
-fn body(file: File, left: u64, held: Held) -> Body {
+/// So many bytes of a result from where its reader stands, read as fast as the client reads.
+fn body(file: Box<dyn BlobReader>, left: u64, held: Held) -> Body {
     Body::from_stream(stream::try_unfold((file, left, held), |(mut file, left, held)| async move {
         if left == 0 {
             return Ok(None);
@@ -142,6 +142,7 @@ mod tests {
     use super::*;
     use crate::admission::budget::Budget;
     use http_body_util::BodyExt;
+    use std::io::Seek;
 
     #[tokio::test]
     async fn a_result_that_is_not_read_holds_its_pieces_until_it_is_over() {
@@ -149,7 +150,7 @@ mod tests {
         file.set_len(3 * CHUNK).expect("room");
         file.rewind().expect("a file");
         let budget = Budget::new(PIECES * CHUNK);
-        let mut body = body(file, 3 * CHUNK, budget.hold(PIECES * CHUNK).expect("room"));
+        let mut body = body(Box::new(file), 3 * CHUNK, budget.hold(PIECES * CHUNK).expect("room"));
         for _ in 0..3 {
             assert_eq!(budget.used(), PIECES * CHUNK);
             let piece = body.frame().await.expect("a piece").expect("no fault").into_data().expect("bytes");

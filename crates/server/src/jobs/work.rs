@@ -1,6 +1,6 @@
 //! What a job is about: the work of `POST /upsample`, with a file for an answer.
 
-use std::io::{self, Write};
+use std::io::{self, Read, Write};
 use std::sync::Arc;
 
 use axum::http::{HeaderMap, HeaderValue, header};
@@ -15,7 +15,7 @@ use crate::problem::Problem;
 use densecloud::{Options, Prepared};
 use densecloud_engine::{Caller, Client, EngineError};
 use densecloud_formats::{FormatError, encode};
-use densecloud_jobs::{Record, Stopped, Task, Work};
+use densecloud_jobs::{BlobReader, Record, Stopped, Task, Work};
 
 /// Bytes of options at most: they are kept as long as the job is.
 const LONGEST: usize = 16 << 10;
@@ -77,7 +77,7 @@ impl Work for Upsampling {
     fn run(
         &self,
         job: &Record,
-        input: Vec<u8>,
+        mut input: Box<dyn BlobReader>,
         task: &Task,
         sink: &mut dyn Write,
     ) -> Result<String, Stopped> {
@@ -86,11 +86,15 @@ impl Work for Upsampling {
         let options = options(&job.request).map_err(refused)?;
         // It came under another limit. What is above this one might never find room.
         let limit = app.config.limits.body_bytes;
-        if input.len() as u64 > limit {
+        let length = input.length()?;
+        if length > limit {
             return Err(refused(Problem::BodyTooLarge { limit }));
         }
-        let held = app.budget.hold(input.len() as u64).ok_or(Stopped::Later)?;
-        let received = Received::kept(input, held);
+        let held = app.budget.hold(length).ok_or(Stopped::Later)?;
+        let mut bytes = Vec::with_capacity(length as usize);
+        input.read_to_end(&mut bytes)?;
+        drop(input);
+        let received = Received::kept(bytes, held);
         let request = UpsampleRequest::read(app, &received, options);
         let prepared = request.and_then(|request| prepare(app, request)).map_err(refused)?;
         drop(received);

@@ -1,22 +1,19 @@
-//! The database of jobs: its schema, and what rows are in memory.
+//! The schema of the database, and how those of earlier versions become it.
 
 use std::path::Path;
 use std::time::Duration;
 
-use rusqlite::{Connection, Row};
+use rusqlite::Connection;
 
-use super::record::{Record, State};
-use super::store::{Load, StoreError};
+use super::rows::failed;
+use crate::error::StoreError;
 
 /// Of the schema.
-pub(super) const VERSION: i64 = 3;
-
-/// Bytes that a row takes beside its texts, with its places in the indices, about.
-pub(super) const ROW: u64 = 1024;
+const VERSION: i64 = 4;
 
 // The totals, one row, are kept by triggers: whatever changes a job changes them with it. `used` is the sum of
 // all `bytes`, which a sum over so many rows would take too long for; `clock` is the turn of the last job
-// that was started.
+// that was started. `claims`, `worker` and `until` are those of the lease, `blob` is the name of the result.
 const SCHEMA: &str = "
     CREATE TABLE jobs (
         number INTEGER PRIMARY KEY AUTOINCREMENT,
@@ -39,6 +36,10 @@ const SCHEMA: &str = "
         finished INTEGER,
         result TEXT,
         failure TEXT,
+        claims INTEGER NOT NULL DEFAULT 0,
+        worker TEXT,
+        until INTEGER,
+        blob TEXT,
         UNIQUE (owner, key)
     ) STRICT;
     CREATE INDEX jobs_by_turn ON jobs (state, turn, number);
@@ -54,7 +55,7 @@ const SCHEMA: &str = "
         BEGIN UPDATE totals SET used = used - old.bytes; END;
     CREATE TRIGGER jobs_start AFTER UPDATE OF state ON jobs WHEN new.state = 'running'
         BEGIN UPDATE totals SET clock = max(clock, new.turn); END;
-    PRAGMA user_version = 3;";
+    PRAGMA user_version = 4;";
 
 /// Makes way for the schema.
 const RENAME: &str = "
@@ -84,8 +85,18 @@ const FROM_2: &str = "
             AND earlier.state IN ('queued', 'running')
     ) WHERE state IN ('queued', 'running');";
 
-const COLUMNS: &str = "number, id, state, request, owner, client, request_id, points_in, points_out, turn, attempts, \
-                       created, started, finished, result, failure";
+/// Version 3 knew no leases, and one name for the results of all attempts.
+const COLUMNS: &str = "
+    ALTER TABLE jobs ADD COLUMN claims INTEGER NOT NULL DEFAULT 0;
+    ALTER TABLE jobs ADD COLUMN worker TEXT;
+    ALTER TABLE jobs ADD COLUMN until INTEGER;
+    ALTER TABLE jobs ADD COLUMN blob TEXT;";
+
+/// What was running then has no lease any more.
+const FROM_3: &str = "
+    UPDATE jobs SET until = 0 WHERE state = 'running';
+    UPDATE jobs SET blob = id || '.out' WHERE state = 'done';
+    PRAGMA user_version = 4;";
 
 /// How long a statement waits for another program that has the database for itself, which no backup does.
 const BUSY: Duration = Duration::from_millis(500);
@@ -95,89 +106,29 @@ const BUSY: Duration = Duration::from_millis(500);
 /// # Errors
 /// [`StoreError::Version`], or what the database says.
 pub(super) fn open(path: &Path) -> Result<Connection, StoreError> {
+    match migrated(path).map_err(failed)? {
+        Ok(connection) => Ok(connection),
+        Err(found) => Err(StoreError::Version { found, known: VERSION }),
+    }
+}
+
+/// Or the version of a schema that is not known.
+fn migrated(path: &Path) -> rusqlite::Result<Result<Connection, i64>> {
     let mut connection = Connection::open(path)?;
     connection.busy_timeout(BUSY)?;
     connection.pragma_update(None, "journal_mode", "WAL")?;
     // A job that was accepted is on the disk, whatever happens next.
     connection.pragma_update(None, "synchronous", "FULL")?;
     let transaction = connection.transaction()?;
-    match transaction.query_row("PRAGMA user_version", [], |row| row.get(0))? {
-        0 => transaction.execute_batch(SCHEMA)?,
-        1 => migrate(&transaction, &[RENAME, FROM_1, SCHEMA, FROM_2])?,
-        2 => migrate(&transaction, &[RENAME, SCHEMA, FROM_2])?,
-        VERSION => {}
-        other => return Err(StoreError::Version(other)),
-    }
+    let steps: &[&str] = match transaction.query_row("PRAGMA user_version", [], |row| row.get(0))? {
+        0 => &[SCHEMA],
+        1 => &[RENAME, FROM_1, SCHEMA, FROM_2, FROM_3],
+        2 => &[RENAME, SCHEMA, FROM_2, FROM_3],
+        3 => &[COLUMNS, FROM_3],
+        VERSION => &[],
+        found => return Ok(Err(found)),
+    };
+    steps.iter().try_for_each(|step| transaction.execute_batch(step))?;
     transaction.commit()?;
-    Ok(connection)
-}
-
-fn migrate(database: &Connection, steps: &[&str]) -> rusqlite::Result<()> {
-    steps.iter().try_for_each(|step| database.execute_batch(step))
-}
-
-pub(super) fn used(database: &Connection) -> Result<u64, StoreError> {
-    Ok(database.query_row("SELECT used FROM totals", [], |row| row.get(0).map(natural))?)
-}
-
-pub(super) fn load(database: &Connection, client: &str) -> Result<Load, StoreError> {
-    let sql = "SELECT count(*), coalesce(sum(points_out), 0), count(DISTINCT client), \
-               coalesce(sum(client = ?), 0) FROM jobs WHERE state IN ('queued', 'running')";
-    let number = |row: &Row<'_>, column: usize| row.get(column).map(natural);
-    Ok(database.query_row(sql, [client], |row| {
-        let (jobs, points) = (number(row, 0)?, number(row, 1)?);
-        Ok(Load { jobs, points, clients: number(row, 2)?, own: number(row, 3)? })
-    })?)
-}
-
-pub(super) fn find(database: &Connection, id: &str) -> Result<Option<Record>, StoreError> {
-    Ok(select(database, "WHERE id = ?", [id])?.pop())
-}
-
-pub(super) fn select(
-    database: &Connection,
-    which: &str,
-    values: impl rusqlite::Params,
-) -> Result<Vec<Record>, StoreError> {
-    let mut statement = database.prepare_cached(&format!("SELECT {COLUMNS} FROM jobs {which}"))?;
-    let rows = statement.query_map(values, record)?;
-    Ok(rows.collect::<Result<_, _>>()?)
-}
-
-fn record(row: &Row<'_>) -> rusqlite::Result<Record> {
-    let state: String = row.get(2)?;
-    let text = |column: usize| row.get::<_, Option<String>>(column);
-    Ok(Record {
-        number: row.get(0)?,
-        id: row.get(1)?,
-        // Cannot be another: only this file writes it.
-        state: State::of_name(&state).ok_or(rusqlite::Error::InvalidQuery)?,
-        request: row.get(3)?,
-        owner: row.get(4)?,
-        client: row.get(5)?,
-        request_id: row.get(6)?,
-        points_in: row.get(7).map(natural)?,
-        points_out: row.get(8).map(natural)?,
-        turn: row.get(9)?,
-        attempts: row.get(10)?,
-        created: row.get(11)?,
-        started: row.get(12)?,
-        finished: row.get(13)?,
-        result: text(14)?.and_then(|text| serde_json::from_str(&text).ok()),
-        failure: text(15)?.and_then(|text| serde_json::from_str(&text).ok()),
-    })
-}
-
-/// Strings and numbers only: there is nothing that JSON could not hold.
-pub(super) fn json(value: &impl serde::Serialize) -> String {
-    serde_json::to_string(value).unwrap_or_default()
-}
-
-/// SQLite has signed numbers alone.
-pub(super) fn integer(number: u64) -> i64 {
-    number.try_into().unwrap_or(i64::MAX)
-}
-
-pub(super) fn natural(number: i64) -> u64 {
-    number.try_into().unwrap_or(0)
+    Ok(Ok(connection))
 }

@@ -1,0 +1,124 @@
+//! What jobs are about, and one job while it runs.
+
+use std::io::{self, Write};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+use densecloud_engine::{EngineError, Outcome, Progress, ProgressHandle};
+
+use crate::blobs::BlobReader;
+use crate::record::Record;
+
+/// What jobs are about.
+pub trait Work: Send + Sync + 'static {
+    /// Computes a job's result from the cloud in `input`, writes it into `sink`, and gives what is to be told of
+    /// it. Blocks.
+    ///
+    /// # Errors
+    /// Why there is none.
+    fn run(
+        &self,
+        job: &Record,
+        input: Box<dyn BlobReader>,
+        task: &Task,
+        sink: &mut dyn Write,
+    ) -> Result<String, Stopped>;
+}
+
+/// Why a job that was started has no result.
+#[derive(Debug)]
+#[non_exhaustive]
+pub enum Stopped {
+    /// It never will.
+    Refused(String),
+    /// There is no room for it at the moment.
+    Later,
+    /// It was cancelled.
+    Cancelled,
+    /// A bug.
+    Crashed,
+    /// Its cloud cannot be read, or its result not written.
+    Storage(io::Error),
+}
+
+/// Whether a failure says nothing of the file: no descriptor was left, or no memory, or a signal came. What
+/// runs beside will be over some time.
+pub(crate) fn passes(error: &io::Error) -> bool {
+    // ENFILE and EMFILE, on every Unix, have no kind of their own.
+    let descriptors = cfg!(unix) && matches!(error.raw_os_error(), Some(23 | 24));
+    descriptors || matches!(error.kind(), io::ErrorKind::OutOfMemory | io::ErrorKind::Interrupted)
+}
+
+impl From<io::Error> for Stopped {
+    fn from(error: io::Error) -> Self {
+        Self::Storage(error)
+    }
+}
+
+/// A job that runs.
+#[derive(Default)]
+pub struct Task(Mutex<TaskState>);
+
+#[derive(Default)]
+struct TaskState {
+    cancelled: bool,
+    handle: Option<ProgressHandle>,
+}
+
+impl Task {
+    fn lock(&self) -> MutexGuard<'_, TaskState> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Whether nobody wants its result any more.
+    pub fn cancelled(&self) -> bool {
+        self.lock().cancelled
+    }
+
+    /// Waits for what the engine does for it; when the task is cancelled, the engine's work is.
+    ///
+    /// # Errors
+    /// The engine's.
+    pub fn wait(&self, job: densecloud_engine::Job) -> Result<Outcome, EngineError> {
+        {
+            let mut state = self.lock();
+            let handle = job.progress_handle();
+            if state.cancelled {
+                handle.cancel();
+            }
+            state.handle = Some(handle);
+        }
+        job.wait()
+    }
+
+    pub(crate) fn cancel(&self) {
+        let mut state = self.lock();
+        state.cancelled = true;
+        if let Some(handle) = &state.handle {
+            handle.cancel();
+        }
+    }
+
+    /// How far it is; none while it is read or waits for the engine. Waits for nothing but a moment.
+    pub fn progress(&self) -> Option<Progress> {
+        self.lock().handle.as_ref().map(ProgressHandle::progress)
+    }
+}
+
+/// A result that takes no more once its job is cancelled.
+pub(crate) struct Checked<'a> {
+    pub(crate) sink: &'a mut dyn Write,
+    pub(crate) task: &'a Task,
+}
+
+impl Write for Checked<'_> {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        if self.task.cancelled() {
+            return Err(io::Error::other("cancelled"));
+        }
+        self.sink.write(bytes)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.sink.flush()
+    }
+}
