@@ -3,7 +3,7 @@
 PROGRAM = $(or $(CARGO_TARGET_DIR),target)/release/densecloud
 OUT = out/demo
 
-.PHONY: demo test test-rust test-python lint build onnxruntime venv clean
+.PHONY: demo test test-rust test-python lint docs build onnxruntime venv clean
 
 demo: build
 	mkdir -p $(OUT)
@@ -25,6 +25,9 @@ lint: venv
 	cargo clippy --workspace --all-targets -- -D warnings
 	.venv/bin/python -m ruff check training tests/interop
 	.venv/bin/python -m ruff format --check training tests/interop
+
+docs:
+	RUSTDOCFLAGS="-D warnings" cargo doc --workspace --no-deps
 
 build: onnxruntime
 	cargo build --release --package densecloud-cli

@@ -6,7 +6,7 @@ use densecloud_cloud::{FrameError, Position};
 
 /// The mean distance of a result's points to their nearest neighbours, in units of the square root of
 /// the area that each has. 1.07 would be a lattice of triangles, 0.5 chance.
-/// `docs/targets.md` has the measurements.
+/// `docs/inspect.md` has the measurements.
 const EVENNESS: f64 = 0.885;
 
 /// How dense a result should be.
