@@ -10,7 +10,7 @@ use super::measured::Measured;
 use super::patches::Patches;
 use super::polish::polish;
 use super::strays::{Made, without_strays};
-use super::{CascadeError, Observer, Settings, Stage, filled};
+use super::{CascadeError, CascadeOptions, Observer, Stage, filled};
 use crate::backend::{BackendError, Batch, SKIP_NEIGHBOURS, SkipInput};
 use crate::workers::{Worker, Workers};
 use densecloud_cloud::Point;
@@ -68,7 +68,7 @@ impl Level {
     pub(super) fn run(
         self,
         size: usize,
-        settings: &Settings,
+        settings: &CascadeOptions,
         workers: &Workers,
         observer: &dyn Observer,
     ) -> Result<Done, CascadeError> {

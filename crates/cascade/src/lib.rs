@@ -4,7 +4,7 @@
 //! farthest point sampling, a patch of the N nearest points around each, one unit on all patches,
 //! and farthest point sampling of what the unit made, strays aside, down to 2n points. The last
 //! level samples straight to the target, so that any ratio is exact, and ends with a polish that
-//! makes the cloud even and smooth ([`Settings::polish`]).
+//! makes the cloud even and smooth ([`CascadeOptions::polish`]).
 //!
 //! # What happens to difficult input
 //!
@@ -54,7 +54,7 @@ use plan::Plan;
 
 /// How to run the cascade; the defaults are what the shipped model was measured with.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Settings {
+pub struct CascadeOptions {
     /// How many patches a point lies in on average (the paper uses 3). At least 1; cost grows in
     /// proportion.
     pub overlap: f64,
@@ -79,7 +79,7 @@ pub struct Settings {
     pub seed: u64,
 }
 
-impl Default for Settings {
+impl Default for CascadeOptions {
     fn default() -> Self {
         Self { overlap: 2.0, inner: 0.3, max_displacement: 0.8, max_distance: 1.5, polish: true, seed: 0 }
     }
@@ -178,7 +178,7 @@ pub enum CascadeError {
 pub fn upsample(
     positions: &[Position],
     target: Target,
-    settings: &Settings,
+    settings: &CascadeOptions,
     workers: &Workers,
     observer: &dyn Observer,
 ) -> Result<Upsampled, CascadeError> {

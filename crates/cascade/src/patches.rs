@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use super::{CascadeError, Observer, Settings, Stage};
+use super::{CascadeError, CascadeOptions, Observer, Stage};
 use densecloud_cloud::Point;
 use densecloud_geometry::{KdTree, Neighbour, Rng, Walk, farthest_point_sampling};
 
@@ -35,7 +35,7 @@ impl Patches {
     pub(super) fn cover(
         points: &[Point],
         patch_size: usize,
-        settings: &Settings,
+        settings: &CascadeOptions,
         random: &mut Rng,
         level: usize,
         observer: &dyn Observer,
@@ -178,7 +178,7 @@ mod tests {
     }
 
     fn cover(points: &[Point], overlap: f64) -> Patches {
-        let settings = Settings { overlap, ..Settings::default() };
+        let settings = CascadeOptions { overlap, ..CascadeOptions::default() };
         Patches::cover(points, 32, &settings, &mut Rng::new(1), 0, &Silent).unwrap()
     }
 
@@ -221,7 +221,7 @@ mod tests {
     fn what_is_kept_holds_every_point() {
         let points = cloud(500);
         for (inner, at_least) in [(0.0, 0), (0.5, 16), (1.0, 32)] {
-            let settings = Settings { inner, ..Settings::default() };
+            let settings = CascadeOptions { inner, ..CascadeOptions::default() };
             let patches = Patches::cover(&points, 32, &settings, &mut Rng::new(1), 0, &Silent).unwrap();
             let mut seen = vec![false; points.len()];
             for p in 0..patches.len() {

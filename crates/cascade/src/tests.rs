@@ -21,7 +21,7 @@ fn sphere(n: u64, seed: u64) -> Vec<Position> {
 }
 
 fn run(positions: &[Position], ratio: f64, threads: usize) -> Result<Upsampled, CascadeError> {
-    upsample(positions, Target::Ratio(ratio), &Settings::default(), &workers(threads), &Silent)
+    upsample(positions, Target::Ratio(ratio), &CascadeOptions::default(), &workers(threads), &Silent)
 }
 
 #[test]
@@ -30,7 +30,8 @@ fn every_ratio_is_exact() {
     for (ratio, points) in [(1.0, 200), (1.7, 340), (2.0, 400), (5.3, 1060), (16.0, 3200), (64.0, 12800)] {
         assert_eq!(run(&cloud, ratio, 2).unwrap().positions.len(), points, "ratio {ratio}");
     }
-    let by_count = upsample(&cloud, Target::Points(777), &Settings::default(), &workers(1), &Silent).unwrap();
+    let by_count =
+        upsample(&cloud, Target::Points(777), &CascadeOptions::default(), &workers(1), &Silent).unwrap();
     assert_eq!(by_count.positions.len(), 777);
 }
 
@@ -47,7 +48,7 @@ fn the_number_of_threads_changes_nothing() {
 fn the_seed_changes_the_result_and_repeats_it() {
     let cloud = sphere(300, 3);
     let with = |seed| {
-        let settings = Settings { seed, ..Settings::default() };
+        let settings = CascadeOptions { seed, ..CascadeOptions::default() };
         upsample(&cloud, Target::Ratio(2.0), &settings, &workers(2), &Silent).unwrap()
     };
     assert_eq!(with(7), with(7));
@@ -101,7 +102,7 @@ fn features_follow_their_points_across_levels() {
         }
     }
     let workers = Workers::new(Arc::new(Checked(Fake::new())), 2).unwrap();
-    upsample(&sphere(500, 4), Target::Ratio(8.0), &Settings::default(), &workers, &Silent).unwrap();
+    upsample(&sphere(500, 4), Target::Ratio(8.0), &CascadeOptions::default(), &workers, &Silent).unwrap();
 }
 
 #[test]
@@ -163,21 +164,21 @@ fn impossible_clouds_say_why() {
     assert!(message(&sphere(8, 1)).contains("8 distinct finite points; the model needs at least 9"));
     assert!(message(&[[-1e308; 3], [1e308; 3]]).contains("rescale"));
     assert!(matches!(run(&sphere(50, 1), 65.0, 1), Err(CascadeError::Ratio(_))));
-    let settings = Settings { overlap: 0.5, ..Settings::default() };
+    let settings = CascadeOptions { overlap: 0.5, ..CascadeOptions::default() };
     let low = upsample(&sphere(50, 1), Target::Ratio(2.0), &settings, &workers(1), &Silent);
     assert!(matches!(low, Err(CascadeError::Overlap(_))));
     for inner in [-0.1, 1.1, f64::NAN] {
-        let settings = Settings { inner, ..Settings::default() };
+        let settings = CascadeOptions { inner, ..CascadeOptions::default() };
         let refused = upsample(&sphere(50, 1), Target::Ratio(2.0), &settings, &workers(1), &Silent);
         assert!(matches!(refused, Err(CascadeError::Inner(_))), "{inner}");
     }
     for max_displacement in [0.0, -1.0, f64::NAN] {
-        let settings = Settings { max_displacement, ..Settings::default() };
+        let settings = CascadeOptions { max_displacement, ..CascadeOptions::default() };
         let refused = upsample(&sphere(50, 1), Target::Ratio(2.0), &settings, &workers(1), &Silent);
         assert!(matches!(refused, Err(CascadeError::MaxDisplacement(_))), "{max_displacement}");
     }
     for max_distance in [0.0, -1.0, f64::NAN] {
-        let settings = Settings { max_distance, ..Settings::default() };
+        let settings = CascadeOptions { max_distance, ..CascadeOptions::default() };
         let refused = upsample(&sphere(50, 1), Target::Ratio(2.0), &settings, &workers(1), &Silent);
         assert!(matches!(refused, Err(CascadeError::MaxDistance(_))), "{max_distance}");
     }
@@ -206,7 +207,8 @@ fn an_observer_sees_the_stages_and_can_stop_them() {
     let fake = Fake::new();
     let workers = Workers::new(Arc::new(fake.clone()), 1).unwrap();
     let stopper = Stopper { after: 5, seen: AtomicUsize::new(0) };
-    let stopped = upsample(&sphere(500, 1), Target::Ratio(4.0), &Settings::default(), &workers, &stopper);
+    let stopped =
+        upsample(&sphere(500, 1), Target::Ratio(4.0), &CascadeOptions::default(), &workers, &stopper);
     assert!(matches!(stopped, Err(CascadeError::Cancelled)));
     assert_eq!(fake.batches(), 5, "work went on after the stop");
 }
@@ -215,7 +217,7 @@ fn an_observer_sees_the_stages_and_can_stop_them() {
 fn a_failing_backend_is_an_error() {
     let fake = Fake::failing_at(3);
     let workers = Workers::new(Arc::new(fake), 2).unwrap();
-    let failed = upsample(&sphere(500, 1), Target::Ratio(2.0), &Settings::default(), &workers, &Silent);
+    let failed = upsample(&sphere(500, 1), Target::Ratio(2.0), &CascadeOptions::default(), &workers, &Silent);
     assert!(matches!(failed, Err(CascadeError::Backend(BackendError::Run { unit: 1, .. }))));
 }
 
@@ -233,7 +235,7 @@ fn outliers_come_out_as_they_went_in_and_nothing_is_made_of_them() {
     let lone: Vec<Position> = (0..10).map(|_| std::array::from_fn(|_| 3.0 + 12.0 * random.f64())).collect();
     cloud.extend(&lone);
     for (ratio, polish) in [(1.0, true), (2.0, true), (4.0, true), (4.0, false), (16.0, true)] {
-        let settings = Settings { polish, ..Settings::default() };
+        let settings = CascadeOptions { polish, ..CascadeOptions::default() };
         let dense = upsample(&cloud, Target::Ratio(ratio), &settings, &workers(2), &Silent).unwrap();
         assert_eq!(dense.positions.len(), (1010.0 * ratio) as usize);
         assert_eq!(dense.apart, 10);

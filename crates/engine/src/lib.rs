@@ -1,14 +1,14 @@
 //! Queue, workers, progress and cancellation: runs cascades for many callers at once.
 //!
 //! The [`Engine`] admits requests while the points they will give fit its budget, runs a few at a
-//! time on one set of worker threads, and hands each caller a [`Job`] to wait on. Dropping the job
+//! time on one set of worker threads, and hands each caller a [`Pending`] to wait on. Dropping that
 //! stops the work. Clients take turns, each has a share of the budget, and deadlines count the time
 //! in the queue. It knows nothing of files or HTTP.
 
 mod client;
 mod cost;
 mod fair;
-mod job;
+mod pending;
 mod progress;
 mod queue;
 mod refusal;
@@ -19,7 +19,7 @@ use std::time::{Duration, Instant};
 pub use client::{Caller, Client};
 pub use cost::Cost;
 pub use fair::Fair;
-pub use job::{Job, Outcome, ProgressHandle};
+pub use pending::{Outcome, Pending, ProgressHandle};
 pub use progress::{Progress, StageTimes};
 pub use queue::Permit;
 pub use refusal::Refusal;
@@ -27,7 +27,7 @@ pub use refusal::Refusal;
 use cost::Pace;
 use densecloud::Request;
 use densecloud_cascade::{Backend, BackendError, Lane, Workers};
-use densecloud_cascade::{CascadeError, Settings, Silent, Target};
+use densecloud_cascade::{CascadeError, CascadeOptions, Silent, Target};
 use densecloud_cloud::Position;
 use queue::{Bounds, Queue};
 
@@ -84,7 +84,7 @@ pub enum EngineError {
         /// At work; nothing where it was never begun.
         worked: Duration,
     },
-    /// The job was dropped, or the engine shut down.
+    /// The [`Pending`] was dropped, or the engine shut down.
     #[error("cancelled")]
     Cancelled,
     /// The cascade refused the cloud, or failed.
@@ -150,7 +150,7 @@ impl Engine {
             let (queue, workers) = (Arc::clone(&queue), Arc::clone(&workers));
             std::thread::Builder::new()
                 .name(format!("densecloud-job-{i}"))
-                .spawn(move || job::work(&queue, &workers, lane))
+                .spawn(move || pending::work(&queue, &workers, lane))
                 .map_err(|e| BackendError::Library { why: format!("cannot start a thread: {e}") })?;
         }
         Ok(Self { inner: Arc::new(Inner { queue, workers }) })
@@ -182,7 +182,7 @@ impl Engine {
                 [r * angle.cos(), r * angle.sin(), z]
             })
             .collect();
-        let (target, settings) = (Target::Ratio(ratio), Settings::default());
+        let (target, settings) = (Target::Ratio(ratio), CascadeOptions::default());
         let start = Instant::now();
         let dense =
             densecloud_cascade::upsample(&positions, target, &settings, &self.inner.workers, &Silent)?;
@@ -194,7 +194,7 @@ impl Engine {
     ///
     /// # Errors
     /// As [`Engine::submit_for`].
-    pub fn submit(&self, request: Request) -> Result<Job, EngineError> {
+    pub fn submit(&self, request: Request) -> Result<Pending, EngineError> {
         self.submit_for(&Caller::default(), request, None)
     }
 
@@ -235,7 +235,7 @@ impl Engine {
         caller: &Caller,
         request: Request,
         reserved: Option<Permit>,
-    ) -> Result<Job, EngineError> {
+    ) -> Result<Pending, EngineError> {
         let finite =
             request.cloud.positions.iter().filter(|p| p.iter().all(|c| c.is_finite())).count() as u64;
         let cost = Cost { points_in: finite, points_out: request.target.points_out(finite)? };
@@ -246,7 +246,7 @@ impl Engine {
             }
             None => self.reserve(caller, cost)?,
         };
-        Ok(Job::queue(&self.inner.queue, request, caller, permit))
+        Ok(Pending::queue(&self.inner.queue, request, caller, permit))
     }
 
     /// Points out of all requests that are reserved, queued or running.

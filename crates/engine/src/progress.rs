@@ -1,4 +1,4 @@
-//! How far a job is, and how long its stages took.
+//! How far a request is, and how long its stages took.
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -6,14 +6,14 @@ use std::time::{Duration, Instant};
 
 use densecloud_cascade::{Observer, Stage};
 
-/// A moment in a job's life.
+/// A moment in a request's life.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Progress {
-    /// The stage that runs; none while the job waits in the queue, and when it is done.
+    /// The stage that runs; none while the request waits in the queue, and when it is done.
     pub stage: Option<Stage>,
-    /// The level that runs, from 1; 0 while the job waits.
+    /// The level that runs, from 1; 0 while the request waits.
     pub level: usize,
-    /// How many levels there are; 0 while the job waits.
+    /// How many levels there are; 0 while the request waits.
     pub levels: usize,
     /// Share of the whole work that is done, 0 to 1, estimated.
     pub fraction: f64,

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use super::client::{Caller, Client};
 use super::cost::{Cost, Pace};
 use super::fair::Fair;
-use super::job::Task;
+use super::pending::Task;
 use super::refusal::Refusal;
 use densecloud_cascade::Lane;
 

@@ -27,7 +27,7 @@ fn request(points: u32, ratio: f64) -> Request {
     Request {
         cloud: positions.into(),
         target: Target::Ratio(ratio),
-        settings: Settings::default(),
+        settings: CascadeOptions::default(),
         finish: densecloud::attributes::Finish::default(),
     }
 }
@@ -431,7 +431,7 @@ proptest! {
                 }
                 Step::DropPermit => drop(permits.pop_back()),
                 Step::DropJob => drop(jobs.pop_back()),
-                Step::Wait => drop(jobs.pop_front().map(Job::wait)),
+                Step::Wait => drop(jobs.pop_front().map(Pending::wait)),
             }
             prop_assert!(engine.queued_points() <= 1500);
         }

@@ -74,7 +74,7 @@ pub fn hexadecimal(bytes: &[u8]) -> String {
 mod tests {
     use super::*;
     use crate::attributes::Finish;
-    use densecloud_cascade::Settings;
+    use densecloud_cascade::CascadeOptions;
     use densecloud_cloud::Cloud;
 
     #[test]
@@ -90,7 +90,7 @@ mod tests {
         let request = Request {
             cloud,
             target: Target::Ratio(7.3),
-            settings: Settings { seed: 5, ..Default::default() },
+            settings: CascadeOptions { seed: 5, ..Default::default() },
             finish,
         };
         let made = line(&model, &request);

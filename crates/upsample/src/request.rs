@@ -1,6 +1,6 @@
 //! What a caller wants done.
 
-use densecloud_cascade::{Settings, Target};
+use densecloud_cascade::{CascadeOptions, Target};
 use densecloud_cloud::Cloud;
 
 use crate::attributes::Finish;
@@ -13,7 +13,7 @@ pub struct Request {
     /// How many points are wanted.
     pub target: Target,
     /// How to run the cascade.
-    pub settings: Settings,
+    pub settings: CascadeOptions,
     /// What is done with the cascade's points.
     pub finish: Finish,
 }

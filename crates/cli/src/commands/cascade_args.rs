@@ -2,26 +2,26 @@
 
 use clap::Args;
 
-use densecloud_cascade::Settings;
+use densecloud_cascade::CascadeOptions;
 
 /// How the cascade is run.
 #[derive(Debug, Clone, Args)]
 pub(super) struct CascadeArgs {
     /// How many patches each point lies in, on average: more is slower
-    #[arg(long, value_name = "X", default_value_t = Settings::default().overlap)]
+    #[arg(long, value_name = "X", default_value_t = CascadeOptions::default().overlap)]
     pub(super) overlap: f64,
 
     /// Share of each patch, around its centre, whose points are kept: 1 keeps all
-    #[arg(long, value_name = "X", default_value_t = Settings::default().inner)]
+    #[arg(long, value_name = "X", default_value_t = CascadeOptions::default().inner)]
     pub(super) inner: f64,
 
     /// Leave out points moved further than this many spacings from their source; `inf` keeps all
-    #[arg(long, value_name = "X", default_value_t = Settings::default().max_displacement)]
+    #[arg(long, value_name = "X", default_value_t = CascadeOptions::default().max_displacement)]
     pub(super) max_displacement: f64,
 
     /// Leave out points further from the input than this many times what nine in ten keep to, and points beyond its
     /// open borders; `inf` keeps all
-    #[arg(long, value_name = "X", default_value_t = Settings::default().max_distance)]
+    #[arg(long, value_name = "X", default_value_t = CascadeOptions::default().max_distance)]
     pub(super) max_distance: f64,
 
     /// Keep what the network made as it is: less even, less smooth, and each point an output of the network
@@ -33,8 +33,8 @@ impl CascadeArgs {
     /// All of them, for what leaves them without a meaning.
     pub(super) const ALL: [&str; 5] = ["overlap", "inner", "max_displacement", "max_distance", "no_polish"];
 
-    pub(super) fn settings(&self, seed: u64) -> Settings {
+    pub(super) fn settings(&self, seed: u64) -> CascadeOptions {
         let Self { overlap, inner, max_displacement, max_distance, no_polish } = *self;
-        Settings { overlap, inner, max_displacement, max_distance, polish: !no_polish, seed }
+        CascadeOptions { overlap, inner, max_displacement, max_distance, polish: !no_polish, seed }
     }
 }

@@ -16,7 +16,7 @@ use densecloud::provenance;
 use densecloud::survey::{self, Goal, GoalError, Survey};
 use densecloud_cascade::Target;
 use densecloud_cloud::Position;
-use densecloud_engine::{EngineError, Job, Outcome, ProgressHandle};
+use densecloud_engine::{EngineError, Outcome, Pending, ProgressHandle};
 use densecloud_formats::Format;
 
 /// Make a cloud denser.
@@ -218,7 +218,7 @@ pub(super) fn run(args: &UpsampleArgs) -> Result<(), CliError> {
 }
 
 /// Waits with a progress bar on standard error if that is a terminal.
-fn wait(job: Job, quiet: bool) -> Result<Outcome, EngineError> {
+fn wait(job: Pending, quiet: bool) -> Result<Outcome, EngineError> {
     if quiet || !io::stderr().is_terminal() {
         return job.wait();
     }

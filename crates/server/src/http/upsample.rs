@@ -26,9 +26,9 @@ use crate::problem::Problem;
 use densecloud::Request;
 use densecloud::provenance;
 use densecloud::survey::{self, Survey};
-use densecloud_cascade::Settings;
+use densecloud_cascade::CascadeOptions;
 use densecloud_cloud::{Cloud, Origin, Table};
-use densecloud_engine::{Client, EngineError, Job, Outcome};
+use densecloud_engine::{Client, EngineError, Outcome, Pending};
 use densecloud_formats::Format;
 
 /// The handler. A client that leaves drops this future at one of its waits, with it the job, and so
@@ -135,7 +135,7 @@ pub(crate) async fn run<T: Send + 'static>(
     ticket: Ticket,
     (bytes, upload): (usize, Duration),
     read: impl FnOnce(&App) -> Result<(Order, T), Problem> + Send + 'static,
-    begun: impl FnOnce(&Job),
+    begun: impl FnOnce(&Pending),
 ) -> Result<(Done, T), Problem> {
     let mut timing = Timing::default();
     timing.add(app, "upload", upload);
@@ -210,7 +210,7 @@ impl About {
 
 /// A cloud that the engine has taken.
 struct Submitted {
-    job: Job,
+    job: Pending,
     /// Room for the result, taken beforehand: a finished result never lacks memory.
     held: Held,
     format: Format,
@@ -266,7 +266,7 @@ pub(crate) fn prepare(app: &App, order: Order) -> Result<Prepared, Problem> {
     if room > limit {
         return Err(Problem::ResultTooLarge { points, bytes: room, limit });
     }
-    let mut settings = Settings::default();
+    let mut settings = CascadeOptions::default();
     if let Some(seed) = parameters.seed {
         settings.seed = seed;
     }

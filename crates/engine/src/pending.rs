@@ -20,10 +20,10 @@ use densecloud_cascade::{CascadeError, Observer, Stage};
 use densecloud_cascade::{Lane, Workers};
 use densecloud_cloud::{Attribute, Position};
 
-/// A request that was admitted. Await it, or [`Job::wait`] for it; drop it to stop the work within
+/// A request that was admitted. Await it, or [`Pending::wait`] for it; drop it to stop the work within
 /// one batch of patches.
-#[must_use = "dropping a job cancels it"]
-pub struct Job {
+#[must_use = "dropping it cancels the request"]
+pub struct Pending {
     queue: Arc<Queue>,
     task: Arc<Task>,
     // Tokio's channel because it can be awaited and waited for; it needs no runtime.
@@ -119,7 +119,7 @@ impl Task {
     }
 }
 
-impl Job {
+impl Pending {
     pub(super) fn queue(queue: &Arc<Queue>, request: Request, caller: &Caller, permit: Permit) -> Self {
         let (sender, result) = oneshot::channel();
         let (cost, estimate) = (permit.cost(), permit.estimate());
@@ -144,23 +144,23 @@ impl Job {
         self.task.watch.progress()
     }
 
-    /// Something that tells how far it is while the job itself is being waited for.
+    /// Tells how far it is while the request itself is being waited for.
     #[must_use]
     pub fn progress_handle(&self) -> ProgressHandle {
         ProgressHandle(Arc::clone(&self.task))
     }
 
-    /// Blocks until it is done. Not for async code: await the job there.
+    /// Blocks until it is done. Not for async code: await it there.
     ///
     /// # Errors
-    /// As the job's own.
+    /// As awaiting it.
     pub fn wait(mut self) -> Result<Outcome, EngineError> {
         let result = std::mem::replace(&mut self.result, oneshot::channel().1);
         result.blocking_recv().unwrap_or(Err(EngineError::Cancelled))
     }
 }
 
-/// Tells how far a job is, and can cancel it; keeps nothing running.
+/// Tells how far a request is, and can cancel it; keeps nothing running.
 #[derive(Clone)]
 pub struct ProgressHandle(Arc<Task>);
 
@@ -178,14 +178,14 @@ impl ProgressHandle {
         task.started.get().map_or_else(|| task.submitted.elapsed(), |begun| *begun - task.submitted)
     }
 
-    /// Stops the work within one batch of patches; whoever waits for the job gets
+    /// Stops the work within one batch of patches; whoever waits for it gets
     /// [`EngineError::Cancelled`].
     pub fn cancel(&self) {
         self.0.cancel();
     }
 }
 
-impl Future for Job {
+impl Future for Pending {
     type Output = Result<Outcome, EngineError>;
 
     fn poll(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Self::Output> {
@@ -194,7 +194,7 @@ impl Future for Job {
     }
 }
 
-impl Drop for Job {
+impl Drop for Pending {
     fn drop(&mut self) {
         self.task.watch.cancel();
         self.queue.remove(&self.task);
