@@ -9,7 +9,7 @@ use std::time::Instant;
 use densecloud::Request;
 use densecloud::attributes::Finish;
 use densecloud_backends::{Model, OnnxBackend};
-use densecloud_cascade::{Settings, Stage, Target};
+use densecloud_cascade::{CascadeOptions, Stage, Target};
 use densecloud_engine::{Engine, EngineConfig, StageTimes};
 use densecloud_geometry::{poisson_disk, shape};
 
@@ -47,7 +47,7 @@ fn measure(engine: &Engine, points: usize, ratio: f64, polish: bool, runs: usize
         let request = Request {
             cloud: positions.clone().into(),
             target: Target::Ratio(ratio),
-            settings: Settings { polish, ..Settings::default() },
+            settings: CascadeOptions { polish, ..CascadeOptions::default() },
             finish: Finish::default(),
         };
         let start = Instant::now();

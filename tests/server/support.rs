@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use densecloud::Request;
 use densecloud::attributes::Finish;
 use densecloud_cascade::{Backend, BackendError, Batch, Fake, Output, Session, UnitShape};
-use densecloud_cascade::{Settings, Target};
+use densecloud_cascade::{CascadeOptions, Target};
 use densecloud_cloud::{Cloud, Origin, Position};
 use densecloud_engine::{Engine, EngineConfig, Outcome};
 use densecloud_formats::{CloudWriter, Format, PlyEncoding, Scalar};
@@ -404,7 +404,7 @@ pub(crate) fn dense(positions: Vec<Position>, target: Target, seed: u64) -> Vec<
 pub(crate) fn outcome(cloud: Cloud, target: Target, seed: u64) -> Outcome {
     let sizes = EngineConfig { threads: 1, ..Default::default() };
     let engine = Engine::with_backend(Arc::new(Fake::new()), sizes).unwrap();
-    let settings = Settings { seed, ..Default::default() };
+    let settings = CascadeOptions { seed, ..Default::default() };
     let request = Request { cloud, target, settings, finish: Finish::default() };
     engine.submit(request).unwrap().wait().unwrap()
 }

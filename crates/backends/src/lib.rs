@@ -10,4 +10,4 @@ mod operators;
 pub use model::{Card, Model, ModelName, UnitFile};
 pub use onnx::OnnxBackend;
 
-use densecloud_cascade::{Backend, BackendError, Batch, Output, SKIP_NEIGHBOURS, Session, UnitShape};
+use densecloud_cascade::{Backend, BackendError, Batch, Demand, Output, SKIP_NEIGHBOURS, Session, UnitShape};

@@ -11,8 +11,16 @@ use ort::session::{
 use ort::value::TensorRef;
 
 use super::{
-    Backend, BackendError, Batch, Model, Output, SKIP_NEIGHBOURS, Session, UnitShape, library, operators,
+    Backend, BackendError, Batch, Demand, Model, Output, SKIP_NEIGHBOURS, Session, UnitShape, library,
+    operators,
 };
+
+/// Bytes that a cascade takes however small it is.
+const BYTES: u64 = 1 << 20;
+/// Bytes that a cascade takes at its height for each point of its last level before that is sampled: merged points, trees
+/// and tables. The skip features of the level before come on top, two bytes a channel for each of half as many points.
+/// Measured in all: 250 to 400 with the shipped model's 264 channels (`BENCHMARKS.md`, "Many points"); with reserve.
+const GEOMETRY_BYTES_A_POINT: u64 = 248;
 
 /// A model on ONNX Runtime's CPU provider.
 #[derive(Debug)]
@@ -50,6 +58,10 @@ impl Backend for OnnxBackend {
         "cpu"
     }
 
+    fn demand(&self) -> Demand {
+        Demand { fixed: BYTES, a_point: GEOMETRY_BYTES_A_POINT + self.model.card.channels as u64 }
+    }
+
     fn open(&self) -> Result<Box<dyn Session>, BackendError> {
         let mut units = Vec::new();
         for (file, bytes) in self.model.card.units.iter().zip(&self.model.units) {
@@ -64,7 +76,7 @@ impl Backend for OnnxBackend {
             let outputs = if features { outputs.with("features") } else { outputs };
             Ok(RunOptions::new()?.with_outputs(outputs))
         };
-        let fail = |e: ort::Error| BackendError::Library { why: e.to_string() };
+        let fail = |e: ort::Error| BackendError::Start { why: e.to_string() };
         Ok(Box::new(OnnxSession {
             shape: self.shape(),
             units,

@@ -2,13 +2,11 @@
 
 use rayon::prelude::*;
 
+use super::globals::{once, trust};
 use super::measured::Measured;
 use densecloud_cloud::Point;
 use densecloud_geometry::{KdTree, Walk, project_to_surface};
 
-/// Root mean square distance of clean input from the surface that the units make of it, in its spacing:
-/// 0.01 to 0.036 on held-out shapes, even or random. Noise of 1 % of the shape leaves 0.055 and more.
-const CLEAN: f32 = 0.035;
 /// Width of the Gaussian weights of the input points that draw a point, in the nearest one's spacing.
 const WIDTH: f32 = 0.4;
 /// Weight of staying: what lies in a wide gap is not drawn by its far rim.
@@ -29,17 +27,15 @@ pub(super) struct Anchors<'a> {
 }
 
 impl<'a> Anchors<'a> {
-    /// Against the surface of what the units `made`, of which `tree` is built.
-    pub(super) fn new(input: &'a Measured, made: &[Point], tree: &KdTree) -> Self {
+    /// Against the surface of what the units `made`, of which `tree` is built. The trust is measured where it is not
+    /// `known`.
+    pub(super) fn new(input: &'a Measured, made: &[Point], tree: &KdTree, known: &mut Option<f32>) -> Self {
         let mut feet = input.points.clone();
         project_to_surface(&mut feet, made, tree);
         let offset = |(p, foot): (&Point, &Point)| std::array::from_fn(|a| p[a] - foot[a]);
         let offsets: Vec<Point> = input.points.iter().zip(&feet).map(offset).collect();
-        let square = |(o, spacing): (&Point, &f32)| o.iter().map(|c| (c / spacing).powi(2)).sum::<f32>();
-        let squares: f32 = offsets.iter().zip(&input.spacing).map(square).sum();
-        let share = CLEAN * CLEAN / (squares / offsets.len() as f32).max(f32::MIN_POSITIVE);
-        // Steep, since noise that is no larger than the units' own errors is rare.
-        Self { input, offsets, trust: share.powi(4).min(1.0) }
+        let trust = once(known, || trust(&offsets, &input.spacing));
+        Self { input, offsets, trust }
     }
 
     /// Moves each of `points`, which lie on the surface, by the offsets of the input points around it.
@@ -81,7 +77,7 @@ mod tests {
         let tree = KdTree::new(&made);
         let off = |input: Vec<Point>| {
             let input = Measured::new(&input, vec![0.05; input.len()]);
-            let anchors = Anchors::new(&input, &made, &tree);
+            let anchors = Anchors::new(&input, &made, &tree, &mut None);
             let mut points = square(500, 2, |_| -0.001);
             anchors.draw(&mut points);
             (anchors.trust, points.iter().map(|p| p[2].abs()).sum::<f32>() / 500.0)
@@ -98,7 +94,7 @@ mod tests {
     fn a_point_far_from_all_input_stays() {
         let made = square(1000, 1, |_| -0.001);
         let input = Measured::new(&square(500, 3, |_| 0.0), vec![0.05; 500]);
-        let anchors = Anchors::new(&input, &made, &KdTree::new(&made));
+        let anchors = Anchors::new(&input, &made, &KdTree::new(&made), &mut None);
         let mut points = vec![[1.2, 0.5, 0.0]];
         anchors.draw(&mut points);
         assert!(points[0][2].abs() < 1e-5, "drawn to {:?}", points[0]);

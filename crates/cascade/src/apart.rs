@@ -6,43 +6,45 @@
 
 use rayon::prelude::*;
 
+use super::globals::{Globals, once, usual_spacing};
 use densecloud_cloud::Point;
 use densecloud_geometry::{KdTree, Plane, Walk, farthest_point_sampling};
 
-/// Others around a point that its spacing is the mean distance to.
+/// Neighbours whose mean distance from a point is its spacing.
 const AROUND: usize = 8;
-/// A group of no more than this is no surface: the distance to the nearest beyond it is what counts.
+/// Most points of a group that is no surface. What counts is the distance to the nearest point outside.
 const GROUP: usize = 4;
-/// A point is alone where that distance is more than this many times the spacing of those around it, of which the
-/// [`LOW`]th counts, from the least: others may be alone, too. On a surface it is below 2 in an even and a random sample, and
-/// at a border; in thin spots beside dense ones, which scans have, up to 4.
+/// A point is alone if its distance to the nearest point outside its group exceeds this many times the [`LOW`]th smallest
+/// spacing among its neighbours, of which some may be alone, too. On a surface the ratio is below 2 in an even and a random
+/// sample, and at a border; in thin spots beside dense ones, which scans have, up to 4.
 const ALONE: f32 = 5.0;
 const LOW: usize = 2;
-/// Points with a spacing so many times the cloud's usual one may be outliers too many to stand out from each other.
+/// Points whose spacing exceeds the cloud's usual one this many times may be outliers too many to stand out from each
+/// other.
 const SPARSE: f32 = 6.0;
-/// They are, if they lie in no sheet: the share of their variance that is across it. Of a sheet, even a noisy one, it is
-/// below 0.03; of points spread over a volume about 0.15.
+/// Such points are outliers if they lie in no sheet: if more than this share of their variance is across it. A sheet, even
+/// a noisy one, has below 0.03; points spread over a volume have about 0.15.
 const ACROSS: f64 = 0.05;
-/// Neighbours that this is measured with.
+/// Neighbours that this share is measured with.
 const SHEET: usize = 16;
-/// What was hidden behind other outliers shows when those are gone.
-const PASSES: usize = 3;
+/// How often outliers are looked for: those hidden behind others show when the others are gone.
+pub(super) const PASSES: usize = 3;
 
 /// A cloud, parted into what lies on surfaces and what lies alone.
 pub(super) struct Parted {
-    /// In the given order.
+    /// Points on surfaces, in the given order.
     pub(super) together: Vec<Point>,
-    /// Spread ever more evenly, as by farthest point sampling.
+    /// Outliers, in the order of farthest point sampling.
     pub(super) apart: Vec<Point>,
 }
 
 impl Parted {
-    /// `points` must be distinct. Where fewer than `least` would be together, all are. O(n log n).
-    pub(super) fn of(points: Vec<Point>, least: usize) -> Self {
+    /// Parts distinct `points`. All stay together where fewer than `least` would. O(n log n).
+    pub(super) fn of(points: Vec<Point>, least: usize, globals: &mut Globals) -> Self {
         let mut together = points;
         let mut apart = Vec::new();
-        for _ in 0..PASSES {
-            let alone = alone(&together);
+        for usual in &mut globals.usual_spacings {
+            let alone = alone(&together, usual);
             let count = alone.iter().filter(|alone| **alone).count();
             if count == 0 || together.len() - count < least {
                 break;
@@ -75,8 +77,8 @@ pub(super) fn joined(dense: Vec<Point>, apart: &[Point]) -> Vec<Point> {
     joined
 }
 
-/// Which of `points` lie alone.
-fn alone(points: &[Point]) -> Vec<bool> {
+/// Which of `points` lie alone, by their `usual` spacing.
+fn alone(points: &[Point], usual: &mut Option<f32>) -> Vec<bool> {
     if points.len() <= AROUND {
         return vec![false; points.len()];
     }
@@ -92,9 +94,10 @@ fn alone(points: &[Point]) -> Vec<bool> {
     for (&i, found) in tree.order().iter().zip(&in_order) {
         spacings[i as usize] = found.0;
     }
-    let usual = nth(&mut spacings.clone(), points.len() / 2);
+    let usual = once(usual, || usual_spacing(&spacings));
     let is_alone = |walk: &mut Walk, (&i, (spacing, group, around)): (&u32, &(f32, f32, [u32; AROUND]))| {
-        if *group > ALONE * nth(&mut around.map(|j| spacings[j as usize]), LOW) {
+        let mut nearby = around.map(|j| spacings[j as usize]);
+        if *group > ALONE * *nearby.select_nth_unstable_by(LOW, f32::total_cmp).1 {
             return true;
         }
         if *spacing <= SPARSE * usual {
@@ -112,15 +115,16 @@ fn alone(points: &[Point]) -> Vec<bool> {
     alone
 }
 
-/// The `n`th least, from 0.
-fn nth(values: &mut [f32], n: usize) -> f32 {
-    *values.select_nth_unstable_by(n, f32::total_cmp).1
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use densecloud_cloud::Frame;
     use densecloud_geometry::Rng;
+
+    fn parted(points: Vec<Point>, least: usize) -> Parted {
+        let frame = Frame::fit(&[[0.0; 3], [1.0; 3]]).unwrap();
+        Parted::of(points, least, &mut Globals::new(frame))
+    }
 
     /// A unit square with so many points, even or random.
     fn square(n: usize, even: bool, random: &mut Rng) -> Vec<Point> {
@@ -130,7 +134,7 @@ mod tests {
     }
 
     fn apart(points: &[Point]) -> Vec<Point> {
-        let mut apart = Parted::of(points.to_vec(), 17).apart;
+        let mut apart = parted(points.to_vec(), 17).apart;
         apart.sort_by(|a, b| a.partial_cmp(b).expect("finite"));
         apart
     }
@@ -187,10 +191,10 @@ mod tests {
     fn enough_points_stay_together() {
         let mut points = square(20, true, &mut Rng::new(3));
         points.push([0.0, 0.0, 50.0]);
-        assert_eq!(Parted::of(points.clone(), 20).apart.len(), 1);
-        assert_eq!(Parted::of(points, 21).apart.len(), 0);
+        assert_eq!(parted(points.clone(), 20).apart.len(), 1);
+        assert_eq!(parted(points, 21).apart.len(), 0);
         let line: Vec<Point> = (0..5).map(|i| [(i * i * i) as f32, 0.0, 0.0]).collect();
-        assert_eq!(Parted::of(line, 1).together.len(), 5);
+        assert_eq!(parted(line, 1).together.len(), 5);
     }
 
     #[test]

@@ -2,21 +2,32 @@
 
 use rayon::prelude::*;
 
+use super::globals::{PolishGlobals, median, once};
 use super::measured::Measured;
 use densecloud_cloud::Point;
-use densecloud_geometry::Neighbour;
+use densecloud_geometry::{Neighbour, indices};
 
-/// How many times more points than wanted [`balanced`] should choose from.
+/// Points that [`balanced`] should choose from, as a multiple of those wanted.
 pub(super) const SURPLUS: f64 = 1.4;
-/// Input points of a region: enough for the noise of a random input to cancel out.
+/// Input points of a region: enough to cancel out the noise of a random input.
 const REGION: usize = 32;
-/// Areas of regions count with this power where the input is noisy, and with one greater by [`TRUSTED`] where it is
-/// clean, as far as they differ by less than a factor of [`DOUBT`]; beyond in full.
+/// Power that a region's area counts with where the input is noisy. It grows by [`TRUSTED`] where the input is clean, and
+/// it is 1 for the part of a difference that exceeds a factor of [`DOUBT`].
 const DOUBTED: f32 = 0.5;
 const TRUSTED: f32 = 0.25;
 const DOUBT: f32 = 2.0;
-/// A region is never thought more than this many times too crowded or too empty.
+/// The largest factor by which a region is taken to be too crowded or too empty.
 const MOST: f32 = 3.0;
+
+/// What decides the share of a region.
+#[derive(Clone, Copy)]
+pub(super) struct Shares<'a> {
+    pub(super) input: &'a Measured,
+    /// For each input point, the area of the surface nearest to it that the units made.
+    pub(super) areas: &'a [f32],
+    /// How far the input is trusted, from 0 to 1.
+    pub(super) trust: f32,
+}
 
 /// Chooses `size` of the `candidates` that `sampled` names in the order of farthest point sampling:
 /// their indices, in the order of a sampling that is as dense in each region as the input makes plausible.
@@ -24,20 +35,19 @@ const MOST: f32 = 3.0;
 /// Farthest point sampling spreads points evenly over whatever it is given, and not quite: where candidates are
 /// few it makes do with less. Where a part is thinner than the input's spacing, what the units make is a tuft rather
 /// than a surface, and takes points from everywhere else. So a region's share is weighed: by the area of the surface
-/// that the units made of it, `areas` for each input point, and by the number of its input points, each of which
-/// stands for the same area in an even input. Areas count for more the more the input is to be `trust`ed, from 0 to 1
-/// (see [`TRUSTED`]): noise roughens a surface, and its area grows with it. Every prefix of the order is an even
-/// sampling, hence a point is taken the later, the more crowded its region is.
+/// that the units made of it, and by the number of its input points, each of which stands for the same area in an even
+/// input. Areas count for more the more the input is trusted ([`TRUSTED`]): noise roughens a surface, and its area grows
+/// with it. Every prefix of the order is an even sampling, hence a point is taken the later, the more crowded its region.
 ///
 /// Fastest when neighbours among the candidates lie near each other in memory.
 pub(super) fn balanced(
     candidates: &[Point],
     sampled: &[u32],
     size: usize,
-    input: &Measured,
-    areas: &[f32],
-    trust: f32,
+    shares: Shares<'_>,
+    globals: &mut PolishGlobals,
 ) -> Vec<u32> {
+    let input = shares.input;
     let mut wanted = vec![false; candidates.len()];
     sampled.iter().for_each(|&i| wanted[i as usize] = true);
     let region = |(p, wanted): (&Point, &bool)| {
@@ -51,8 +61,8 @@ pub(super) fn balanced(
             *count += 1.0;
         }
     }
-    let excess = crowding(&counts, areas, trust, input);
-    let mut order: Vec<(f32, u32)> = (0..sampled.len() as u32)
+    let excess = crowding(&counts, shares, globals);
+    let mut order: Vec<(f32, u32)> = indices(sampled.len())
         .into_par_iter()
         .map(|rank| {
             let region = region_of[sampled[rank as usize] as usize];
@@ -63,8 +73,13 @@ pub(super) fn balanced(
     order[..size].iter().map(|o| sampled[o.1 as usize]).collect()
 }
 
-/// Points for the share of the region around each input point, beside the median; `counts` of the points nearest to it.
-fn crowding(counts: &[f32], areas: &[f32], trust: f32, input: &Measured) -> Vec<f32> {
+/// Crowding of the region around each input point: points chosen for its share of the area, beside the median. `counts`
+/// are the points chosen nearest to each input point.
+fn crowding(
+    counts: &[f32],
+    Shares { input, areas, trust }: Shares<'_>,
+    globals: &mut PolishGlobals,
+) -> Vec<f32> {
     let region = |found: &mut Vec<_>, p: &Point| {
         input.tree.nearest(*p, REGION, found);
         let sum = |of: &[f32]| found.iter().map(|n: &Neighbour| of[n.index as usize]).sum::<f32>();
@@ -72,24 +87,18 @@ fn crowding(counts: &[f32], areas: &[f32], trust: f32, input: &Measured) -> Vec<
     };
     let (counts, areas): (Vec<f32>, Vec<f32>) = input.points.par_iter().map_init(Vec::new, region).unzip();
     let doubted = 1.0 - DOUBTED - trust * TRUSTED;
-    let shares = beside_median(areas).into_iter().map(|a| a / a.clamp(1.0 / DOUBT, DOUBT).powf(doubted));
-    let density = beside_median(
-        counts.into_iter().zip(shares).map(|(count, share)| count / share.max(f32::MIN_POSITIVE)).collect(),
-    );
-    density.into_iter().map(|d| d.clamp(1.0 / MOST, MOST)).collect()
+    let usual = once(&mut globals.usual_area, || median(&areas));
+    let shares = beside(usual, areas).map(|a| a / a.clamp(1.0 / DOUBT, DOUBT).powf(doubted));
+    let counts = counts.into_iter();
+    let density: Vec<f32> =
+        counts.zip(shares).map(|(count, share)| count / share.max(f32::MIN_POSITIVE)).collect();
+    let usual = once(&mut globals.usual_density, || median(&density));
+    beside(usual, density).map(|d| d.clamp(1.0 / MOST, MOST)).collect()
 }
 
-/// Each of some values as a multiple of their median; all the same where that is nothing.
-fn beside_median(mut values: Vec<f32>) -> Vec<f32> {
-    let mut sorted = values.clone();
-    let middle = sorted.len() / 2;
-    let median = *sorted.select_nth_unstable_by(middle, f32::total_cmp).1;
-    if median > 0.0 {
-        values.iter_mut().for_each(|v| *v /= median);
-    } else {
-        values.fill(1.0);
-    }
-    values
+/// Each value as a multiple of the `usual` one; all the same where that is nothing.
+fn beside(usual: f32, values: Vec<f32>) -> impl Iterator<Item = f32> {
+    values.into_iter().map(move |value| if usual > 0.0 { value / usual } else { 1.0 })
 }
 
 #[cfg(test)]
@@ -113,7 +122,9 @@ mod tests {
     /// The order that is kept for `input`, when each point of it stands for `areas` and is trusted by `trust`.
     fn kept(order: &[Point], size: usize, input: &[Point], areas: &[f32], trust: f32) -> Vec<u32> {
         let input = Measured::new(input, vec![0.05; input.len()]);
-        balanced(order, &(0..order.len() as u32).collect::<Vec<_>>(), size, &input, areas, trust)
+        let sampled: Vec<u32> = (0..order.len() as u32).collect();
+        let shares = Shares { input: &input, areas, trust };
+        balanced(order, &sampled, size, shares, &mut PolishGlobals::default())
     }
 
     #[test]

@@ -2,18 +2,15 @@
 
 use rayon::prelude::*;
 
+use super::globals::{evenness, once};
 use super::measured::Measured;
-use densecloud_cloud::Point;
+
 use densecloud_geometry::{normal, one_sided, quadratic_residual};
 
 /// Past its last points a surface is taken to go on for this share of a cell's usual reach, if the input is even: such a
 /// sample has points on the border itself. A random one ends before it, and reaches past its last points as far as
 /// anywhere else.
 const PAST: f32 = 0.15;
-/// Variation of the distances to the nearest other, in the spacing there: even samples have 0.07 to 0.1, random ones 0.39
-/// to 0.44.
-const EVEN: f32 = 0.15;
-const RANDOM: f32 = 0.35;
 /// Around a border the input lies on one smooth sheet, to this share of its spacing: on an open border of a clean scan to
 /// 0.03, on the edge of a blade, whose sides are too near each other to be told apart there, to 0.05 and more.
 const SMOOTH: f32 = 0.05;
@@ -23,7 +20,6 @@ const SHEET: usize = 25;
 const RING: usize = 9;
 
 /// What an input tells of its borders.
-#[derive(Default)]
 pub(super) struct Borders {
     /// How sure it is, from 0 to 1, that the input's points lie on the borders themselves.
     even: f32,
@@ -33,10 +29,10 @@ pub(super) struct Borders {
 }
 
 impl Borders {
-    /// O(n), and a neighbourhood's search and fit for those that lie on a border.
-    pub(super) fn of(input: &Measured) -> Self {
-        let random = ((unevenness(input) - EVEN) / (RANDOM - EVEN)).clamp(0.0, 1.0);
-        let even = 1.0 - random;
+    /// Finds the borders of an input by its evenness, which is measured where it is not known. O(n), and a
+    /// neighbourhood's search and fit for each point on a border.
+    pub(super) fn of(input: &Measured, known: &mut Option<f32>) -> Self {
+        let even = once(known, || evenness(nearest_distances(input)));
         let ends = |found: &mut Vec<_>, i: usize| {
             let p = input.points[i];
             input.tree.nearest(p, RING, found);
@@ -64,27 +60,19 @@ impl Borders {
     }
 }
 
-/// Coefficient of variation of the input points' distances to the nearest other, in their spacing.
-fn unevenness(input: &Measured) -> f32 {
-    let distance = |(i, p): (u32, &Point)| {
+/// The input points' distances to the nearest other, in their spacing.
+fn nearest_distances(input: &Measured) -> impl Iterator<Item = f32> {
+    (0_u32..).zip(&input.points).filter_map(|(i, p)| {
         let q = input.points[*input.around(i).first()? as usize];
         let square: f32 = (0..3).map(|a| (q[a] - p[a]).powi(2)).sum();
         Some(square.sqrt() / input.spacing[i as usize])
-    };
-    let (mut count, mut sum, mut squares) = (0.0_f64, 0.0, 0.0);
-    for distance in (0_u32..).zip(&input.points).filter_map(distance).map(f64::from) {
-        count += 1.0;
-        sum += distance;
-        squares += distance * distance;
-    }
-    let mean = sum / count;
-    let variation = (squares / count - mean * mean).max(0.0).sqrt() / mean;
-    if variation.is_finite() { variation as f32 } else { 0.0 }
+    })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use densecloud_cloud::Point;
     use densecloud_geometry::{KdTree, Rng, farthest_point_sampling};
 
     /// With the mean distance to the 8 nearest as the spacing.
@@ -114,7 +102,7 @@ mod tests {
     fn an_even_surface_ends_at_its_points_and_a_random_one_past_them() {
         let past = |even| {
             let points = square(2000, even, |_, _| 0.0);
-            let borders = Borders::of(&measured(&points));
+            let borders = Borders::of(&measured(&points), &mut None);
             let at = |wanted: fn(f32) -> bool| {
                 let found = (0_u32..).zip(&points).filter(move |(_, p)| wanted(p[0].min(1.0 - p[0])));
                 found.map(|(i, _)| borders.past(i)).fold(0.0, f32::max)
@@ -129,7 +117,7 @@ mod tests {
     fn a_smooth_sheet_may_end_and_noise_and_the_edge_of_a_blade_may_not() {
         // The spacing is 0.025.
         let possible = |points: &[Point]| {
-            let borders = Borders::of(&measured(points));
+            let borders = Borders::of(&measured(points), &mut None);
             let at_border =
                 (0_u32..).zip(points).filter(|(_, p)| p[0] < 0.02).map(|(i, _)| borders.past(i) < 1.0);
             let at_border: Vec<bool> = at_border.collect();

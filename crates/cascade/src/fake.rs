@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
-use crate::backend::{Backend, BackendError, Batch, Output, Session, UnitShape};
+use crate::{Backend, BackendError, Batch, Output, Session, UnitShape};
 
 /// Gives each point back and, beside it, the midpoint to its nearest neighbour in the patch; can
 /// be slow and can fail on request. Features are the point's first coordinate, so that tests can

@@ -4,7 +4,7 @@
 //! farthest point sampling, a patch of the N nearest points around each, one unit on all patches,
 //! and farthest point sampling of what the unit made, strays aside, down to 2n points. The last
 //! level samples straight to the target, so that any ratio is exact, and ends with a polish that
-//! makes the cloud even and smooth ([`Settings::polish`]).
+//! makes the cloud even and smooth ([`CascadeOptions::polish`]).
 //!
 //! # What happens to difficult input
 //!
@@ -18,43 +18,60 @@
 //!
 //! # Determinism
 //!
-//! The result depends on the points, their order, the target, the settings and the model; never on
-//! the number of threads. Every patch is computed on its own and written to its own place.
+//! The result depends on the points, their order, the target, the options and the model; never on
+//! the number of threads. Every patch is computed on its own and written to its own place. The few numbers that depend on
+//! the whole cloud are gathered in one value, `Globals`.
+//!
+//! # Runtimes and threads
+//!
+//! The cascade knows a runtime as a [`LevelRunner`], which runs one unit over all patches of a level. [`Patchwise`] makes
+//! one of a [`Backend`] that takes a patch at a time. The work runs on the rayon pool that [`upsample`] is called on;
+//! queues, pools and turns are the engine's.
 
 mod anchors;
 mod apart;
-mod backend;
 mod balance;
 mod border;
 #[cfg(any(test, feature = "fake"))]
-pub mod fake;
+mod fake;
+mod globals;
 mod input;
 mod level;
 mod measured;
 mod observer;
 mod patches;
+mod patchwise;
 mod plan;
 mod polish;
+mod runner;
+mod session;
+mod skip;
+mod sphere;
 mod strays;
-mod workers;
 
-pub use backend::{Backend, BackendError, Batch, Output, SKIP_NEIGHBOURS, Session, SkipInput, UnitShape};
 #[cfg(any(test, feature = "fake"))]
 pub use fake::Fake;
+pub use input::distinct;
 pub use observer::{Observer, Silent, Stage};
+pub use patches::Patches;
+pub use patchwise::{OnDemand, Patchwise, Sessions, Workspace};
 pub use plan::{MAX_RATIO, Target};
-pub use workers::{Lane, Worker, Workers};
+pub use runner::{BackendError, Demand, FeatureTable, LevelInput, LevelOutput, LevelRunner, Made, UnitShape};
+pub use session::{Backend, Batch, Output, SKIP_NEIGHBOURS, Session, SkipInput};
+pub use skip::SkipNeighbours;
+pub use sphere::Sphere;
 
 use apart::{Parted, joined};
 use densecloud_cloud::{FrameError, Position};
+use densecloud_geometry::{TooManyPoints, check_count};
+use globals::Globals;
 use input::Input;
-pub use input::distinct;
-use level::{Done, Level};
+use level::{Handover, Level, Run};
 use plan::Plan;
 
 /// How to run the cascade; the defaults are what the shipped model was measured with.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Settings {
+pub struct CascadeOptions {
     /// How many patches a point lies in on average (the paper uses 3). At least 1; cost grows in
     /// proportion.
     pub overlap: f64,
@@ -79,7 +96,7 @@ pub struct Settings {
     pub seed: u64,
 }
 
-impl Default for Settings {
+impl Default for CascadeOptions {
     fn default() -> Self {
         Self { overlap: 2.0, inner: 0.3, max_displacement: 0.8, max_distance: 1.5, polish: true, seed: 0 }
     }
@@ -101,6 +118,7 @@ pub struct Upsampled {
 
 /// Why a cloud cannot be upsampled.
 #[derive(Debug, Clone, thiserror::Error)]
+#[non_exhaustive]
 pub enum CascadeError {
     /// A ratio outside 1 to 64.
     #[error("ratio {0} is outside 1 to {MAX_RATIO}")]
@@ -152,13 +170,16 @@ pub enum CascadeError {
     /// A distance limit that is not a positive number.
     #[error("the distance limit {0} is not above 0")]
     MaxDistance(f64),
+    /// More points than indices can tell apart, in the input, the result, or between.
+    #[error("{0}")]
+    TooManyPoints(#[from] TooManyPoints),
     /// No local frame fits.
     #[error("{0}")]
     Frame(#[from] FrameError),
     /// The backend failed.
     #[error("{0}")]
     Backend(#[from] BackendError),
-    /// The system gave no memory for a table of so many bytes.
+    /// The system has no memory for a table of this many bytes.
     #[error("the system has no {0} bytes of memory for this cloud; ask for fewer points")]
     OutOfMemory(u64),
     /// The observer asked to stop.
@@ -166,7 +187,26 @@ pub enum CascadeError {
     Cancelled,
 }
 
-/// Upsamples a cloud.
+impl CascadeOptions {
+    /// Checks each option.
+    fn check(&self) -> Result<(), CascadeError> {
+        if !(1.0..=100.0).contains(&self.overlap) {
+            return Err(CascadeError::Overlap(self.overlap));
+        }
+        if !(0.0..=1.0).contains(&self.inner) {
+            return Err(CascadeError::Inner(self.inner));
+        }
+        if self.max_displacement.is_nan() || self.max_displacement <= 0.0 {
+            return Err(CascadeError::MaxDisplacement(self.max_displacement));
+        }
+        if self.max_distance.is_nan() || self.max_distance <= 0.0 {
+            return Err(CascadeError::MaxDistance(self.max_distance));
+        }
+        Ok(())
+    }
+}
+
+/// Upsamples a cloud, on the current rayon pool.
 ///
 /// Cost: about `overlap * (2^levels - 1) * n / N` runs of the unit for n distinct points in, and memory
 /// of 250 to 400 bytes a point out; the skip features are 528 bytes for each point of a level's input, the
@@ -178,49 +218,43 @@ pub enum CascadeError {
 pub fn upsample(
     positions: &[Position],
     target: Target,
-    settings: &Settings,
-    workers: &Workers,
+    options: &CascadeOptions,
+    runner: &dyn LevelRunner,
     observer: &dyn Observer,
 ) -> Result<Upsampled, CascadeError> {
-    if !(1.0..=100.0).contains(&settings.overlap) {
-        return Err(CascadeError::Overlap(settings.overlap));
-    }
-    if !(0.0..=1.0).contains(&settings.inner) {
-        return Err(CascadeError::Inner(settings.inner));
-    }
-    if settings.max_displacement.is_nan() || settings.max_displacement <= 0.0 {
-        return Err(CascadeError::MaxDisplacement(settings.max_displacement));
-    }
-    if settings.max_distance.is_nan() || settings.max_distance <= 0.0 {
-        return Err(CascadeError::MaxDistance(settings.max_distance));
-    }
-    let shape = workers.shape();
+    options.check()?;
     let input = Input::prepare(positions)?;
-    let plan = Plan::new(target, input.finite, input.points.len(), input.duplicates(), shape)?;
-    let lane = Lane::of(plan.sizes.last().map_or(0, |&size| size as u64));
-    let (dense, apart) = workers.install(lane, || {
-        let Parted { together, apart } = Parted::of(input.points, shape.neighbours + 1);
-        let plan = plan.without(apart.len(), together.len(), settings.polish);
-        observer.plan(&plan.sizes);
-        let mut done = Done { points: together, previous: None, measured: None };
-        for (number, &size) in plan.sizes.iter().enumerate() {
-            let level = Level {
-                number,
-                unit: number.min(workers.backend().units() - 1),
-                last: number + 1 == plan.sizes.len(),
-                points: done.points,
-                previous: done.previous,
-                measured: done.measured,
-            };
-            done = level.run(size, settings, workers, observer)?;
-        }
-        Ok::<_, CascadeError>((joined(done.points, &apart), apart.len()))
-    })?;
+    let mut globals = Globals::new(input.frame);
+    cascade(input, target, &Run { options, runner, observer }, &mut globals)
+}
+
+/// Runs all levels by what is known of the whole, and fills in what is not.
+fn cascade(
+    input: Input,
+    target: Target,
+    run: &Run<'_>,
+    globals: &mut Globals,
+) -> Result<Upsampled, CascadeError> {
+    let Input { frame, points, finite, non_finite } = input;
+    let (shape, duplicates) = (run.runner.shape(), finite - points.len());
+    let plan = Plan::new(target, finite, points.len(), duplicates, shape)?;
+    let Parted { together, apart } = Parted::of(points, shape.neighbours + 1, globals);
+    if globals.sizes.is_empty() {
+        globals.plan(plan.without(apart.len(), together.len(), run.options.polish).sizes);
+    }
+    run.observer.plan(&globals.sizes);
+    let levels = globals.sizes.len();
+    let mut handover = Handover { points: together, previous: None, reference: None };
+    for number in 0..levels {
+        let level = Level { number, size: globals.sizes[number], last: number + 1 == levels };
+        handover = level.run(handover, run, globals)?;
+    }
+    let dense = joined(handover.points, &apart);
     Ok(Upsampled {
-        positions: dense.iter().map(|p| input.frame.to_world(*p)).collect(),
-        dropped_non_finite: positions.len() - input.finite,
-        duplicates: input.finite - input.distinct,
-        apart,
+        positions: dense.iter().map(|p| frame.to_world(*p)).collect(),
+        dropped_non_finite: non_finite,
+        duplicates,
+        apart: apart.len(),
     })
 }
 

@@ -3,14 +3,30 @@
 use rayon::prelude::*;
 
 use super::border::Borders;
-use super::strays::Made;
+use super::globals::Globals;
+use super::runner::Made;
 use densecloud_cloud::Point;
 use densecloud_geometry::{KdTree, Neighbour, Walk};
 
 /// Others around each input point: no point must lie beyond all of them.
 const AROUND: usize = 8;
 
-/// The cascade's input, as what every later point is measured against.
+/// What every point that is made is measured against: the cascade's input, and where its surface ends.
+pub(super) struct Reference {
+    pub(super) input: Measured,
+    pub(super) borders: Borders,
+}
+
+impl Reference {
+    /// `spacing` of each of the input's `points`. O(n log n).
+    pub(super) fn new(points: &[Point], spacing: Vec<f32>, globals: &mut Globals) -> Self {
+        let input = Measured::new(points, spacing);
+        let borders = Borders::of(&input, &mut globals.evenness);
+        Self { input, borders }
+    }
+}
+
+/// The cascade's input, its points with their surroundings.
 ///
 /// A limit on displacement alone lets strays through: a stray is far from everything, so the next
 /// level grants it a wide spacing and lets its copies stray further.
@@ -19,7 +35,6 @@ pub(super) struct Measured {
     pub(super) points: Vec<Point>,
     /// Mean distance of each point to its nearest others.
     pub(super) spacing: Vec<f32>,
-    pub(super) borders: Borders,
     /// One row for each point: see [`Measured::around`].
     neighbours: Vec<u32>,
 }
@@ -39,10 +54,7 @@ impl Measured {
             };
             neighbours.par_chunks_exact_mut(row).enumerate().for_each_init(Vec::new, find);
         }
-        let points = points.to_vec();
-        let mut measured = Self { tree, points, spacing, borders: Borders::default(), neighbours };
-        measured.borders = Borders::of(&measured);
-        measured
+        Self { tree, points: points.to_vec(), spacing, neighbours }
     }
 
     /// An input point's nearest others, nearest first; fewer than [`AROUND`] where there are no more.

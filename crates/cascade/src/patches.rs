@@ -1,29 +1,34 @@
 //! The patches of one level: which points each holds, and which patch owns each point.
 
+use std::ops::Range;
+
 use rayon::prelude::*;
 
-use super::{CascadeError, Observer, Settings, Stage};
+use super::{CascadeError, CascadeOptions, Observer, Stage};
 use densecloud_cloud::Point;
 use densecloud_geometry::{KdTree, Neighbour, Rng, Walk, farthest_point_sampling};
 
 /// Neighbours that a point's spacing is measured to: the ring around it on an even surface, and some.
 const SPACING_NEIGHBOURS: usize = 8;
 
-/// Overlapping patches that cover a cloud.
-pub(super) struct Patches {
+/// Overlapping patches that cover a level's input.
+///
+/// Each point is owned by one patch, the one in which it lies most central. Rows of a feature table are numbered so
+/// that those of one owner follow each other: each patch writes one run of the table, and no two share a row.
+#[derive(Debug)]
+pub struct Patches {
     /// Points in every patch.
-    pub(super) size: usize,
+    size: usize,
     /// `[H, size]` point indices, nearest to the seed first.
-    pub(super) members: Vec<u32>,
+    members: Vec<u32>,
     /// Places before this one are kept in every patch: see [`Patches::kept`].
     inner: usize,
     /// For each patch, the range of rows that its own points have in the feature table.
-    pub(super) row_starts: Vec<usize>,
-    /// For each point its row in the feature table. Rows of one owner follow each other, so that
-    /// each patch writes one run of the table and no two patches share a row.
-    pub(super) rows: Vec<u32>,
+    row_starts: Vec<usize>,
+    /// For each point its row in the feature table.
+    rows: Vec<u32>,
     /// For each point the mean distance to its [`SPACING_NEIGHBOURS`] nearest others.
-    pub(super) spacing: Vec<f32>,
+    pub(crate) spacing: Vec<f32>,
     /// For each point, the patch that owns it.
     owners: Vec<u32>,
 }
@@ -35,7 +40,7 @@ impl Patches {
     pub(super) fn cover(
         points: &[Point],
         patch_size: usize,
-        settings: &Settings,
+        settings: &CascadeOptions,
         random: &mut Rng,
         level: usize,
         observer: &dyn Observer,
@@ -65,18 +70,38 @@ impl Patches {
         Ok(Self::own(spacing, size, inner, members))
     }
 
-    /// How many there are.
-    pub(super) fn len(&self) -> usize {
+    /// How many there are, at least one.
+    #[must_use]
+    pub fn count(&self) -> usize {
         self.row_starts.len() - 1
     }
 
+    /// Points in every patch.
+    #[must_use]
+    pub fn size(&self) -> usize {
+        self.size
+    }
+
+    /// The row of point `i` in the feature table.
+    #[must_use]
+    pub fn row(&self, i: usize) -> usize {
+        self.rows[i] as usize
+    }
+
+    /// The rows of the points that patch `p` owns.
+    #[must_use]
+    pub fn rows_of(&self, p: usize) -> Range<usize> {
+        self.row_starts[p]..self.row_starts[p + 1]
+    }
+
     /// The points of patch `p`, nearest to its seed first.
-    pub(super) fn members(&self, p: usize) -> &[u32] {
+    #[must_use]
+    pub fn members(&self, p: usize) -> &[u32] {
         &self.members[p * self.size..][..self.size]
     }
 
     /// Places in patch `p` of the points that it owns, in the order of their rows.
-    pub(super) fn owned(&self, p: usize) -> impl Iterator<Item = usize> {
+    pub fn owned(&self, p: usize) -> impl Iterator<Item = usize> {
         let members = self.members(p).iter().enumerate();
         members.filter(move |(_, i)| self.owners[**i as usize] == p as u32).map(|(place, _)| place)
     }
@@ -84,11 +109,16 @@ impl Patches {
     /// Places in patch `p` whose outputs are merged: the inner share nearest to the seed, where the
     /// unit sees neighbours on all sides, and those that the patch owns, so that every point is
     /// kept somewhere.
-    pub(super) fn kept(&self, p: usize) -> impl Iterator<Item = usize> {
+    pub fn kept(&self, p: usize) -> impl Iterator<Item = usize> {
         let members = self.members(p).iter().enumerate();
         members
             .filter(move |(place, i)| *place < self.inner || self.owners[**i as usize] == p as u32)
             .map(|(place, _)| place)
+    }
+
+    /// What the next level and the sampling need: each point's row, and its spacing. The rest is freed.
+    pub(crate) fn into_rows_and_spacing(self) -> (Vec<u32>, Vec<f32>) {
+        (self.rows, self.spacing)
     }
 
     /// A point belongs to the patch in which it lies most central: the one whose seed has it as the
@@ -178,7 +208,7 @@ mod tests {
     }
 
     fn cover(points: &[Point], overlap: f64) -> Patches {
-        let settings = Settings { overlap, ..Settings::default() };
+        let settings = CascadeOptions { overlap, ..CascadeOptions::default() };
         Patches::cover(points, 32, &settings, &mut Rng::new(1), 0, &Silent).unwrap()
     }
 
@@ -190,10 +220,9 @@ mod tests {
             let mut rows: Vec<u32> = patches.rows.clone();
             rows.sort_unstable();
             assert!(rows.iter().copied().eq(0..n as u32), "rows are a permutation, n = {n}");
-            for p in 0..patches.len() {
-                let expected = patches.row_starts[p]..patches.row_starts[p + 1];
-                let found = patches.owned(p).map(|place| patches.rows[patches.members(p)[place] as usize]);
-                assert!(found.map(|r| r as usize).eq(expected));
+            for p in 0..patches.count() {
+                let found = patches.owned(p).map(|place| patches.row(patches.members(p)[place] as usize));
+                assert!(found.eq(patches.rows_of(p)));
             }
         }
     }
@@ -213,7 +242,7 @@ mod tests {
     fn a_cloud_no_larger_than_a_patch_is_one_patch() {
         for n in [9, 31, 32] {
             let patches = cover(&cloud(n), 3.0);
-            assert_eq!((patches.len(), patches.size), (1, n as usize));
+            assert_eq!((patches.count(), patches.size), (1, n as usize));
         }
     }
 
@@ -221,10 +250,10 @@ mod tests {
     fn what_is_kept_holds_every_point() {
         let points = cloud(500);
         for (inner, at_least) in [(0.0, 0), (0.5, 16), (1.0, 32)] {
-            let settings = Settings { inner, ..Settings::default() };
+            let settings = CascadeOptions { inner, ..CascadeOptions::default() };
             let patches = Patches::cover(&points, 32, &settings, &mut Rng::new(1), 0, &Silent).unwrap();
             let mut seen = vec![false; points.len()];
-            for p in 0..patches.len() {
+            for p in 0..patches.count() {
                 let kept: Vec<usize> = patches.kept(p).collect();
                 assert!(kept.iter().copied().take(at_least).eq(0..at_least), "the inner places are kept");
                 assert!(patches.owned(p).all(|place| kept.contains(&place)));
@@ -241,7 +270,7 @@ mod tests {
         let patches = cover(&points, 3.0);
         for i in 0..300_u32 {
             let place = |p: usize| patches.members(p).iter().position(|&m| m == i);
-            let best = (0..patches.len()).filter_map(|p| Some((place(p)?, p))).min().unwrap();
+            let best = (0..patches.count()).filter_map(|p| Some((place(p)?, p))).min().unwrap();
             assert_eq!(patches.owners[i as usize] as usize, best.1);
         }
     }

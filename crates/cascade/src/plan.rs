@@ -1,7 +1,7 @@
 //! From a target to the sizes of the levels.
 
-use super::CascadeError;
-use crate::backend::UnitShape;
+use super::{CascadeError, check_count};
+use crate::runner::UnitShape;
 
 /// The highest ratio: six levels.
 pub const MAX_RATIO: u32 = 64;
@@ -9,9 +9,9 @@ pub const MAX_RATIO: u32 = 64;
 /// How many points are wanted.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Target {
-    /// So many times the finite input points, 1 to 64, rounded to the nearest whole number.
+    /// A multiple of the finite input points, 1 to 64, rounded to the nearest whole number.
     Ratio(f64),
-    /// Exactly so many points, 1 to 64 times the finite input points.
+    /// The number itself, 1 to 64 times the finite input points.
     Points(u64),
 }
 
@@ -36,7 +36,7 @@ impl Target {
     }
 }
 
-/// A polished level gives up to so many times twice its input.
+/// A polished level may output up to 1.25 × (2 × its input points).
 const SPARE: f64 = 1.25;
 
 /// The sizes after each level: doubling, and the target last.
@@ -54,7 +54,8 @@ impl Plan {
         duplicates: usize,
         shape: UnitShape,
     ) -> Result<Self, CascadeError> {
-        let wanted = target.points_out(finite as u64)? as usize;
+        let wanted = target.points_out(finite as u64)?.try_into().unwrap_or(usize::MAX);
+        check_count(wanted)?;
         let needed = shape.neighbours + 1;
         if distinct < needed {
             return Err(CascadeError::TooFewPoints { distinct, duplicates, needed });
@@ -71,8 +72,8 @@ impl Plan {
         Ok(Self { sizes })
     }
 
-    /// The same when `apart` points are kept as they are and `together` are worked on. A last level that is `polished`
-    /// can choose among more than twice its input, so a few points that are apart do not cost a level.
+    /// The plan when `apart` points are kept as they are and `together` are worked on. A `polished` last level can choose
+    /// among more than twice its input, so a few points that are apart do not cost a level.
     pub(super) fn without(self, apart: usize, together: usize, polished: bool) -> Self {
         let Some(&wanted) = self.sizes.last().filter(|_| apart > 0) else { return self };
         let wanted = wanted - apart;
@@ -144,6 +145,8 @@ mod tests {
         }
         let few = Plan::new(Target::Ratio(2.0), 40, 32, 8, SHAPE).unwrap_err();
         assert!(few.to_string().contains("at least 33"), "{few}");
+        let large = Plan::new(Target::Ratio(64.0), 1 << 27, 1 << 27, 0, SHAPE).unwrap_err();
+        assert!(large.to_string().starts_with("8589934592 points are more than the 4294967295"), "{large}");
         let same = Plan::new(Target::Ratio(64.0), 1000, 400, 600, SHAPE).unwrap_err();
         assert!(matches!(same, CascadeError::TooManyDuplicates { distinct: 400, total: 1000 }));
     }

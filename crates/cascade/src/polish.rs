@@ -11,9 +11,10 @@
 use rayon::prelude::*;
 
 use super::anchors::Anchors;
-use super::balance::{SURPLUS, balanced};
-use super::measured::Measured;
-use super::{CascadeError, Observer};
+use super::balance::{SURPLUS, Shares, balanced};
+use super::globals::{PolishGlobals, once};
+use super::measured::{Measured, Reference};
+use super::{CascadeError, Observer, check_count};
 use densecloud_cloud::Point;
 use densecloud_geometry::{
     KdTree, Neighbour, Reach, Rng, Walk, cell_area, farthest_point_sampling, normal, project_to_surface,
@@ -45,16 +46,22 @@ const PUSH: f32 = 0.4;
 /// No step is longer than this share of the usual distance.
 const FARTHEST: f32 = 0.2;
 
-/// `size` points, spread evenly over what the unit `made`, ordered as by farthest point sampling.
-///
-/// `full` is the size of the level's output, from whose midpoints they are chosen: farthest point
-/// sampling thins out what exceeds it by more than a tenth. (Less is not worth its time: the midpoints
-/// are thinned out anyway.)
+/// How many points a polish gives, and from how many.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Sizes {
+    /// Points of the sample whose midpoints the result is chosen from: farthest point sampling thins out what exceeds
+    /// it by more than a tenth. (Less is not worth its time: the midpoints are thinned out anyway.)
+    pub(super) full: usize,
+    /// Points of the result.
+    pub(super) size: usize,
+}
+
+/// Chooses points spread evenly over what the unit `made`, ordered as by farthest point sampling.
 pub(super) fn polish(
     made: &[Point],
-    full: usize,
-    size: usize,
-    input: &Measured,
+    Sizes { full, size }: Sizes,
+    reference: &Reference,
+    globals: &mut PolishGlobals,
     random: &mut Rng,
     observer: &dyn Observer,
 ) -> Result<Vec<Point>, CascadeError> {
@@ -62,21 +69,23 @@ pub(super) fn polish(
 
     // From here on neighbours in space are neighbours in memory.
     let (tree, made) = KdTree::in_order(made);
-    let anchors = Anchors::new(input, &made, &tree);
+    let anchors = Anchors::new(&reference.input, &made, &tree, &mut globals.trust);
     let Candidates { points: candidates, areas } = if made.len() > full + full / 10 {
         let first = random.below(made.len() as u64) as usize;
         let mut kept = farthest_point_sampling(&made, full, first);
         kept.par_sort_unstable();
         let sample: Vec<Point> = kept.iter().map(|&i| made[i as usize]).collect();
-        Candidates::of(&KdTree::new(&sample), &sample, size, input, anchors.trust)
+        Candidates::of(&KdTree::new(&sample), &sample, size, reference, anchors.trust, globals)
     } else {
-        Candidates::of(&tree, &made, size, input, anchors.trust)
+        Candidates::of(&tree, &made, size, reference, anchors.trust, globals)
     };
+    check_count(candidates.len())?;
     go_on()?;
     let first = random.below(candidates.len() as u64) as usize;
     let count = ((SURPLUS * size as f64) as usize).min(candidates.len());
     let sampled = farthest_point_sampling(&candidates, count, first);
-    let order = balanced(&candidates, &sampled, size, input, &areas, anchors.trust);
+    let shares = Shares { input: &reference.input, areas: &areas, trust: anchors.trust };
+    let order = balanced(&candidates, &sampled, size, shares, globals);
 
     let mut chosen = order.clone();
     chosen.par_sort_unstable();
@@ -94,8 +103,8 @@ pub(super) fn polish(
 
 /// What the result is chosen from.
 struct Candidates {
-    /// Midpoints of the sample, and the input points that they fall short of, which are the more, the more the input
-    /// is to be trusted.
+    /// Midpoints of the sample, and the input points that they fall short of: the more of these, the more the input is
+    /// trusted.
     points: Vec<Point>,
     /// For each input point, the area of the surface that is nearest to it.
     areas: Vec<f32>,
@@ -103,25 +112,39 @@ struct Candidates {
 
 impl Candidates {
     /// `tree` must be built from `sample`.
-    fn of(tree: &KdTree, sample: &[Point], size: usize, input: &Measured, trust: f32) -> Self {
-        let reach = REACH * (input.points.len() as f32 / sample.len() as f32).sqrt();
+    fn of(
+        tree: &KdTree,
+        sample: &[Point],
+        size: usize,
+        Reference { input, borders }: &Reference,
+        trust: f32,
+        globals: &mut PolishGlobals,
+    ) -> Self {
+        let density = once(&mut globals.input_a_sample, || input.points.len() as f32 / sample.len() as f32);
+        let reach = REACH * density.sqrt();
         let cell = |i: usize, near: &[Neighbour], normal| {
             let nearest = input.tree.nearest_one(sample[i]).map_or(0, |n| n.index);
             let spacing = input.spacing[nearest as usize];
             let radius = reach * spacing;
-            let reach = Reach { radius, past: input.borders.past(nearest) * radius, flat: FLAT * spacing };
+            let reach = Reach { radius, past: borders.past(nearest) * radius, flat: FLAT * spacing };
             (nearest, cell_area(sample, i, near, normal, reach))
         };
         let (rings, cells) = surroundings(tree, sample, cell);
         let mut areas = vec![0.0; input.points.len()];
         cells.iter().for_each(|&(nearest, area)| areas[nearest as usize] += area);
         let mut points = midpoints(sample, &rings);
-        let too_few = points.len() < size;
-        if too_few {
+        let midpoints_made = once(&mut globals.midpoints, || points.len());
+        let reached_by = if midpoints_made < size { ReachedBy::SampleToo } else { ReachedBy::Midpoints };
+        if reached_by == ReachedBy::SampleToo {
             points.extend_from_slice(sample);
         }
         let short = SHORT * (1.0 - trust);
-        points.extend(fallen_short_of(tree, sample, &rings, too_few, input, short));
+        points.extend(fallen_short_of(
+            &Sample { tree, points: sample, rings: &rings },
+            reached_by,
+            input,
+            short,
+        ));
         if points.len() < size {
             // All is rough: whatever lies between neighbours, which is at least 3.5 times the sample.
             points.extend(midpoints(sample, &nearest_rings(tree, sample)));
@@ -243,25 +266,34 @@ fn relax(points: &mut [Point]) {
     }
 }
 
-/// The input points that no midpoint comes nearer to than `short` of their spacing (nor a point of the
-/// sample, where those are candidates `too`): what was measured must not vanish. Looks at the midpoints
-/// of the nearest points only.
-fn fallen_short_of(
-    tree: &KdTree,
-    sample: &[Point],
-    rings: &[Ring],
-    too: bool,
-    input: &Measured,
-    short: f32,
-) -> Vec<Point> {
+/// A sample of what the unit made, its tree and each point's ring.
+struct Sample<'a> {
+    tree: &'a KdTree,
+    points: &'a [Point],
+    rings: &'a [Ring],
+}
+
+/// The candidates that may come near an input point.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum ReachedBy {
+    /// Midpoints alone.
+    Midpoints,
+    /// Midpoints, and the points of the sample, which are candidates, too.
+    SampleToo,
+}
+
+/// The input points that no candidate comes nearer to than `short` of their spacing: what was measured must not vanish.
+/// Looks at the candidates around the nearest points of the sample only.
+fn fallen_short_of(sample: &Sample<'_>, by: ReachedBy, input: &Measured, short: f32) -> Vec<Point> {
+    let Sample { tree, points, rings } = *sample;
     let far = |found: &mut Vec<Neighbour>, (p, spacing): (&Point, &f32)| {
         let limit = (short * spacing).powi(2);
         let near = |q: Point| (0..3).map(|a| (q[a] - p[a]).powi(2)).sum::<f32>() <= limit;
         tree.nearest(*p, AROUND, found);
         let reached = found.iter().any(|n| {
-            let q = sample[n.index as usize];
-            too && near(q)
-                || rings[n.index as usize].others().iter().any(|&j| near(middle(q, sample[j as usize])))
+            let q = points[n.index as usize];
+            by == ReachedBy::SampleToo && near(q)
+                || rings[n.index as usize].others().iter().any(|&j| near(middle(q, points[j as usize])))
         });
         (!reached).then_some(*p)
     };
@@ -286,6 +318,18 @@ fn midpoints(points: &[Point], rings: &[Ring]) -> Vec<Point> {
 mod tests {
     use super::*;
     use crate::Silent;
+    use crate::globals::Globals;
+    use densecloud_cloud::Frame;
+
+    fn reference(points: &[Point], spacing: f32) -> Reference {
+        let frame = Frame::fit(&[[0.0; 3], [1.0; 3]]).unwrap();
+        Reference::new(points, vec![spacing; points.len()], &mut Globals::new(frame))
+    }
+
+    fn polished(made: &[Point], full: usize, size: usize, reference: &Reference) -> Vec<Point> {
+        let (mut globals, mut random) = (PolishGlobals::default(), Rng::new(5));
+        polish(made, Sizes { full, size }, reference, &mut globals, &mut random, &Silent).unwrap()
+    }
 
     /// A square of unit side, at some height.
     fn square(n: u64, height: f32, seed: u64) -> Vec<Point> {
@@ -318,8 +362,7 @@ mod tests {
         let made = square(3000, 0.5, 1);
         let sample: Vec<Point> =
             farthest_point_sampling(&made, 2000, 0).iter().map(|&i| made[i as usize]).collect();
-        let input = Measured::new(&sample[..500], vec![0.05; 500]);
-        let dense = polish(&made, 2000, 2000, &input, &mut Rng::new(5), &Silent).unwrap();
+        let dense = polished(&made, 2000, 2000, &reference(&sample[..500], 0.05));
         assert_eq!(dense.len(), 2000);
         assert!(dense.iter().all(|p| (p[2] - 0.5).abs() < 1e-6));
         let (before, after) = (variation(&sample), variation(&dense));
@@ -333,8 +376,7 @@ mod tests {
             farthest_point_sampling(&made, 2000, 0).iter().map(|&i| made[i as usize]).collect();
         let mut measured = sample[..500].to_vec();
         measured.push([0.5, 1.06, 0.5]);
-        let input = Measured::new(&measured, vec![0.05; 501]);
-        let dense = polish(&made, 2000, 2000, &input, &mut Rng::new(5), &Silent).unwrap();
+        let dense = polished(&made, 2000, 2000, &reference(&measured, 0.05));
         assert!(dense.iter().any(|p| p[1] > 1.04), "nothing near the tip");
     }
 
@@ -343,11 +385,10 @@ mod tests {
         for n in [20_u64, 60, 300] {
             let mut random = Rng::new(n);
             let made: Vec<Point> = (0..n).map(|_| std::array::from_fn(|_| random.f64() as f32)).collect();
-            let input = Measured::new(&made, vec![0.1; made.len()]);
+            let input = reference(&made, 0.1);
             // Edges at any angle to any normal: few midpoints are of one surface.
             for size in [2 * made.len(), 3 * made.len()] {
-                let dense = polish(&made, size, size, &input, &mut Rng::new(5), &Silent).unwrap();
-                assert_eq!(dense.len(), size);
+                assert_eq!(polished(&made, size, size, &input).len(), size);
             }
         }
     }
@@ -382,8 +423,8 @@ mod tests {
             .collect();
         let even = thinned(8000, 400, 2);
         let (tree, made) = KdTree::in_order(&points);
-        let input = Measured::new(&even, vec![0.06; 400]);
-        let areas = Candidates::of(&tree, &made, made.len(), &input, 1.0).areas;
+        let (input, mut globals) = (reference(&even, 0.06), PolishGlobals::default());
+        let areas = Candidates::of(&tree, &made, made.len(), &input, 1.0, &mut globals).areas;
         let whole: f32 = areas.iter().sum();
         assert!((0.93..1.1).contains(&whole), "{whole}");
         let right: f32 = even.iter().zip(&areas).filter(|(p, _)| p[0] > 0.5).map(|(_, area)| area).sum();
@@ -404,7 +445,6 @@ mod tests {
     #[test]
     fn too_few_midpoints_are_made_up_for() {
         let points = vec![[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
-        let input = Measured::new(&points, vec![1.0; 3]);
-        assert_eq!(polish(&points, 5, 5, &input, &mut Rng::new(1), &Silent).unwrap().len(), 5);
+        assert_eq!(polished(&points, 5, 5, &reference(&points, 1.0)).len(), 5);
     }
 }

@@ -5,8 +5,13 @@ use super::*;
 use crate::{Backend, Fake};
 use densecloud_geometry::Rng;
 
-fn workers(threads: usize) -> Workers {
-    Workers::new(Arc::new(Fake::new()), threads).unwrap()
+fn runner() -> impl LevelRunner {
+    Patchwise::new(Arc::new(Fake::new()))
+}
+
+/// On a pool of so many threads.
+fn on<R: Send>(threads: usize, work: impl FnOnce() -> R + Send) -> R {
+    rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap().install(work)
 }
 
 fn sphere(n: u64, seed: u64) -> Vec<Position> {
@@ -21,7 +26,7 @@ fn sphere(n: u64, seed: u64) -> Vec<Position> {
 }
 
 fn run(positions: &[Position], ratio: f64, threads: usize) -> Result<Upsampled, CascadeError> {
-    upsample(positions, Target::Ratio(ratio), &Settings::default(), &workers(threads), &Silent)
+    on(threads, || upsample(positions, Target::Ratio(ratio), &CascadeOptions::default(), &runner(), &Silent))
 }
 
 #[test]
@@ -30,7 +35,8 @@ fn every_ratio_is_exact() {
     for (ratio, points) in [(1.0, 200), (1.7, 340), (2.0, 400), (5.3, 1060), (16.0, 3200), (64.0, 12800)] {
         assert_eq!(run(&cloud, ratio, 2).unwrap().positions.len(), points, "ratio {ratio}");
     }
-    let by_count = upsample(&cloud, Target::Points(777), &Settings::default(), &workers(1), &Silent).unwrap();
+    let by_count =
+        upsample(&cloud, Target::Points(777), &CascadeOptions::default(), &runner(), &Silent).unwrap();
     assert_eq!(by_count.positions.len(), 777);
 }
 
@@ -47,8 +53,8 @@ fn the_number_of_threads_changes_nothing() {
 fn the_seed_changes_the_result_and_repeats_it() {
     let cloud = sphere(300, 3);
     let with = |seed| {
-        let settings = Settings { seed, ..Settings::default() };
-        upsample(&cloud, Target::Ratio(2.0), &settings, &workers(2), &Silent).unwrap()
+        let settings = CascadeOptions { seed, ..CascadeOptions::default() };
+        upsample(&cloud, Target::Ratio(2.0), &settings, &runner(), &Silent).unwrap()
     };
     assert_eq!(with(7), with(7));
     assert_ne!(with(7), with(8));
@@ -60,7 +66,7 @@ fn features_follow_their_points_across_levels() {
     // patch's frame, so rows of one point must all carry the same value.
     struct Checked(Fake);
     impl Backend for Checked {
-        fn shape(&self) -> crate::backend::UnitShape {
+        fn shape(&self) -> crate::UnitShape {
             self.0.shape()
         }
         fn units(&self) -> usize {
@@ -69,17 +75,17 @@ fn features_follow_their_points_across_levels() {
         fn provider(&self) -> &str {
             "checked"
         }
-        fn open(&self) -> Result<Box<dyn crate::backend::Session>, BackendError> {
+        fn open(&self) -> Result<Box<dyn crate::Session>, BackendError> {
             Ok(Box::new(Inspect(self.0.clone())))
         }
     }
     struct Inspect(Fake);
-    impl crate::backend::Session for Inspect {
+    impl crate::Session for Inspect {
         fn run(
             &mut self,
             unit: usize,
-            batch: &crate::backend::Batch<'_>,
-            output: &mut crate::backend::Output,
+            batch: &crate::Batch<'_>,
+            output: &mut crate::Output,
         ) -> Result<(), BackendError> {
             assert_eq!(batch.skip.is_some(), unit > 0);
             if let Some(skip) = &batch.skip {
@@ -100,8 +106,9 @@ fn features_follow_their_points_across_levels() {
             self.0.run(unit, batch, output)
         }
     }
-    let workers = Workers::new(Arc::new(Checked(Fake::new())), 2).unwrap();
-    upsample(&sphere(500, 4), Target::Ratio(8.0), &Settings::default(), &workers, &Silent).unwrap();
+    let runner = Patchwise::new(Arc::new(Checked(Fake::new())));
+    let cloud = sphere(500, 4);
+    on(2, || upsample(&cloud, Target::Ratio(8.0), &CascadeOptions::default(), &runner, &Silent)).unwrap();
 }
 
 #[test]
@@ -163,22 +170,22 @@ fn impossible_clouds_say_why() {
     assert!(message(&sphere(8, 1)).contains("8 distinct finite points; the model needs at least 9"));
     assert!(message(&[[-1e308; 3], [1e308; 3]]).contains("rescale"));
     assert!(matches!(run(&sphere(50, 1), 65.0, 1), Err(CascadeError::Ratio(_))));
-    let settings = Settings { overlap: 0.5, ..Settings::default() };
-    let low = upsample(&sphere(50, 1), Target::Ratio(2.0), &settings, &workers(1), &Silent);
+    let settings = CascadeOptions { overlap: 0.5, ..CascadeOptions::default() };
+    let low = upsample(&sphere(50, 1), Target::Ratio(2.0), &settings, &runner(), &Silent);
     assert!(matches!(low, Err(CascadeError::Overlap(_))));
     for inner in [-0.1, 1.1, f64::NAN] {
-        let settings = Settings { inner, ..Settings::default() };
-        let refused = upsample(&sphere(50, 1), Target::Ratio(2.0), &settings, &workers(1), &Silent);
+        let settings = CascadeOptions { inner, ..CascadeOptions::default() };
+        let refused = upsample(&sphere(50, 1), Target::Ratio(2.0), &settings, &runner(), &Silent);
         assert!(matches!(refused, Err(CascadeError::Inner(_))), "{inner}");
     }
     for max_displacement in [0.0, -1.0, f64::NAN] {
-        let settings = Settings { max_displacement, ..Settings::default() };
-        let refused = upsample(&sphere(50, 1), Target::Ratio(2.0), &settings, &workers(1), &Silent);
+        let settings = CascadeOptions { max_displacement, ..CascadeOptions::default() };
+        let refused = upsample(&sphere(50, 1), Target::Ratio(2.0), &settings, &runner(), &Silent);
         assert!(matches!(refused, Err(CascadeError::MaxDisplacement(_))), "{max_displacement}");
     }
     for max_distance in [0.0, -1.0, f64::NAN] {
-        let settings = Settings { max_distance, ..Settings::default() };
-        let refused = upsample(&sphere(50, 1), Target::Ratio(2.0), &settings, &workers(1), &Silent);
+        let settings = CascadeOptions { max_distance, ..CascadeOptions::default() };
+        let refused = upsample(&sphere(50, 1), Target::Ratio(2.0), &settings, &runner(), &Silent);
         assert!(matches!(refused, Err(CascadeError::MaxDistance(_))), "{max_distance}");
     }
 }
@@ -204,9 +211,11 @@ fn an_observer_sees_the_stages_and_can_stop_them() {
         }
     }
     let fake = Fake::new();
-    let workers = Workers::new(Arc::new(fake.clone()), 1).unwrap();
+    let runner = Patchwise::new(Arc::new(fake.clone()));
     let stopper = Stopper { after: 5, seen: AtomicUsize::new(0) };
-    let stopped = upsample(&sphere(500, 1), Target::Ratio(4.0), &Settings::default(), &workers, &stopper);
+    let stopped = on(1, || {
+        upsample(&sphere(500, 1), Target::Ratio(4.0), &CascadeOptions::default(), &runner, &stopper)
+    });
     assert!(matches!(stopped, Err(CascadeError::Cancelled)));
     assert_eq!(fake.batches(), 5, "work went on after the stop");
 }
@@ -214,8 +223,8 @@ fn an_observer_sees_the_stages_and_can_stop_them() {
 #[test]
 fn a_failing_backend_is_an_error() {
     let fake = Fake::failing_at(3);
-    let workers = Workers::new(Arc::new(fake), 2).unwrap();
-    let failed = upsample(&sphere(500, 1), Target::Ratio(2.0), &Settings::default(), &workers, &Silent);
+    let runner = Patchwise::new(Arc::new(fake));
+    let failed = upsample(&sphere(500, 1), Target::Ratio(2.0), &CascadeOptions::default(), &runner, &Silent);
     assert!(matches!(failed, Err(CascadeError::Backend(BackendError::Run { unit: 1, .. }))));
 }
 
@@ -233,8 +242,8 @@ fn outliers_come_out_as_they_went_in_and_nothing_is_made_of_them() {
     let lone: Vec<Position> = (0..10).map(|_| std::array::from_fn(|_| 3.0 + 12.0 * random.f64())).collect();
     cloud.extend(&lone);
     for (ratio, polish) in [(1.0, true), (2.0, true), (4.0, true), (4.0, false), (16.0, true)] {
-        let settings = Settings { polish, ..Settings::default() };
-        let dense = upsample(&cloud, Target::Ratio(ratio), &settings, &workers(2), &Silent).unwrap();
+        let settings = CascadeOptions { polish, ..CascadeOptions::default() };
+        let dense = upsample(&cloud, Target::Ratio(ratio), &settings, &runner(), &Silent).unwrap();
         assert_eq!(dense.positions.len(), (1010.0 * ratio) as usize);
         assert_eq!(dense.apart, 10);
         let far: Vec<_> = dense.positions.iter().filter(|p| p[0] > 2.0).collect();
@@ -244,4 +253,124 @@ fn outliers_come_out_as_they_went_in_and_nothing_is_made_of_them() {
             assert!(near, "{q:?} is not among {far:?}");
         }
     }
+}
+
+/// A runner without sessions, as on a device: it makes a whole level at once, and its features stay in a table of its own.
+struct Device;
+
+struct Resident {
+    /// The unit that filled the table.
+    unit: usize,
+    /// For each row, the first coordinate of its point.
+    rows: Vec<f32>,
+}
+
+impl LevelRunner for Device {
+    fn shape(&self) -> UnitShape {
+        UnitShape { patch_size: 32, neighbours: 8, channels: 1 }
+    }
+
+    fn units(&self) -> usize {
+        3
+    }
+
+    fn provider(&self) -> &str {
+        "device"
+    }
+
+    fn run_level(
+        &self,
+        level: &LevelInput<'_>,
+        previous: Option<&FeatureTable>,
+        _: &dyn Observer,
+    ) -> Result<LevelOutput, CascadeError> {
+        assert_eq!(previous.is_some(), level.unit > 0);
+        assert_eq!(level.skip.is_some(), level.unit > 0);
+        if let (Some(table), Some(skip)) = (previous, level.skip) {
+            let table = table.get::<Resident>().expect("its own table");
+            assert_eq!(table.unit + 1, level.unit);
+            for (i, p) in level.points.iter().enumerate() {
+                let nearest = (table.rows[skip.rows(i)[0] as usize] - p[0]).powi(2);
+                assert!(nearest <= skip.distances(i)[0] + 1e-6, "the row of another point");
+            }
+        }
+        let mut rows = vec![f32::NAN; level.points.len()];
+        let mut made = Vec::new();
+        for (i, &p) in level.points.iter().enumerate() {
+            rows[level.patches.row(i)] = p[0];
+            made.extend([level.made(p, i), level.made(p.map(|c| 1.01 * c), i)]);
+        }
+        let features = level.want_features.then(|| FeatureTable::new(Resident { unit: level.unit, rows }));
+        Ok(LevelOutput { made, features })
+    }
+}
+
+#[test]
+fn a_runner_takes_whole_levels_and_keeps_its_own_table() {
+    let dense =
+        upsample(&sphere(300, 8), Target::Ratio(8.0), &CascadeOptions::default(), &Device, &Silent).unwrap();
+    assert_eq!(dense.positions.len(), 2400);
+}
+
+#[test]
+fn a_table_of_another_runner_is_refused() {
+    let points: Vec<_> = sphere(40, 1).iter().map(|p| p.map(|c| c as f32)).collect();
+    let options = CascadeOptions::default();
+    let patches = Patches::cover(&points, 32, &options, &mut Rng::new(1), 0, &Silent).unwrap();
+    let level = LevelInput { unit: 1, points: &points, patches: &patches, skip: None, want_features: false };
+    let foreign = FeatureTable::new(7_u8);
+    let refused = runner().run_level(&level, Some(&foreign), &Silent).err().unwrap().to_string();
+    assert!(refused.contains("another runner's"), "{refused}");
+}
+
+/// What is made of a cloud by what is known of the whole, and what is known then.
+fn with_globals(
+    cloud: &[Position],
+    known: Option<&Globals>,
+) -> Result<(Vec<Position>, Globals), CascadeError> {
+    let (options, runner) = (CascadeOptions::default(), runner());
+    let input = Input::prepare(cloud).unwrap();
+    let mut globals = known.cloned().unwrap_or_else(|| Globals::new(input.frame));
+    let run = Run { options: &options, runner: &runner, observer: &Silent };
+    let dense = cascade(input, Target::Ratio(4.0), &run, &mut globals)?;
+    Ok((dense.positions, globals))
+}
+
+#[test]
+fn what_is_known_of_the_whole_is_not_looked_for_again() {
+    // Rough, so that points may be taken for outliers, and unlike clean input.
+    let mut random = Rng::new(2);
+    let mut rough = |p: &Position| {
+        let height = 1.0 + 0.3 * random.f64();
+        p.map(|c| c * height)
+    };
+    let cloud: Vec<Position> = sphere(400, 3).iter().map(&mut rough).collect();
+    let (dense, globals) = with_globals(&cloud, None).unwrap();
+    assert_eq!(globals.sizes, [800, 1600]);
+    let known =
+        |level: &globals::LevelGlobals| level.usual_distance.is_some() && level.most_strayed.is_some();
+    assert!(globals.usual_spacings[0].is_some() && globals.evenness.is_some());
+    assert!(globals.levels.iter().all(known), "{globals:?}");
+    assert_eq!(with_globals(&cloud, Some(&globals)).unwrap(), (dense.clone(), globals.clone()));
+
+    // Every one of them is what points are placed by; the evenness, where there is a smooth border.
+    let changed = |cloud: &[Position], change: fn(&mut Globals)| {
+        let (dense, mut globals) = with_globals(cloud, None).unwrap();
+        change(&mut globals);
+        with_globals(cloud, Some(&globals)).ok().is_none_or(|(other, _)| other != dense)
+    };
+    let square: Vec<Position> = (0..400).map(|_| [random.f64(), random.f64(), 0.0]).collect();
+    assert!(changed(&square, |g| g.evenness = Some(1.0 - g.evenness.unwrap().round())), "the evenness");
+    let changed = |change| changed(&cloud, change);
+    assert!(changed(|g| g.usual_spacings[0] = Some(0.001)), "the usual spacing");
+    assert!(changed(|g| g.levels[0].usual_distance = Some(0.01)), "the usual distance");
+    assert!(changed(|g| g.levels[1].most_strayed = Some(0.5)), "how far points may stray");
+    assert!(changed(|g| g.polish.trust = g.polish.trust.map(|t| 1.0 - t.round())), "the trust");
+    assert!(changed(|g| g.polish.input_a_sample = Some(1.0)), "the density");
+    assert!(changed(|g| g.polish.midpoints = Some(0)), "the midpoints");
+    assert!(changed(|g| g.polish.usual_area = g.polish.usual_area.map(|a| 3.0 * a)), "the usual area");
+    assert!(
+        changed(|g| g.polish.usual_density = g.polish.usual_density.map(|d| 3.0 * d)),
+        "the usual density"
+    );
 }

@@ -36,11 +36,12 @@ impl fmt::Display for Client {
     }
 }
 
-/// On whose behalf work is done, and until when it is of use.
+/// Whose work it is, and until when it is of use.
 #[derive(Debug, Clone, Default)]
 pub struct Caller {
     /// Whose share it takes.
     pub client: Client,
-    /// Work that is not done by then is stopped, and not begun after it; none is no limit.
+    /// A moment of the engine's [`Clock`](crate::Clock): work that is not done by then is stopped, and none is begun after
+    /// it; none is no limit.
     pub deadline: Option<Instant>,
 }

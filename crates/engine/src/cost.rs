@@ -2,7 +2,8 @@
 
 use std::time::Duration;
 
-use densecloud_cascade::Lane;
+use super::workers::Lane;
+use densecloud_cascade::Demand;
 
 /// The size of a request: all that its cost depends on.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -12,13 +13,6 @@ pub struct Cost {
     /// Points in the result.
     pub points_out: u64,
 }
-
-/// Bytes that the cascade takes at its height for each point of its last level before that is sampled:
-/// merged points, trees and tables, and the skip features of the level before. Measured: 250 to 400
-/// (`BENCHMARKS.md`, "Many points"); with reserve.
-const BYTES_A_POINT: u64 = 512;
-/// Bytes that a request takes however small it is.
-const BYTES: u64 = 1 << 20;
 
 impl Cost {
     /// Levels of the cascade: the fewest doublings that reach the points out, and at least one.
@@ -39,12 +33,12 @@ impl Cost {
         Self { points_in: times(self.points_in), points_out: times(self.points_out) }
     }
 
-    /// Memory that the work takes at its height, in bytes; the input and the result aside. An estimate
-    /// from above for clouds of some thousand points and more.
+    /// Memory that the work takes at its height, in bytes, over a runner of this demand; the input and the result aside.
+    /// An estimate from above for clouds of some thousand points and more.
     #[must_use]
-    pub fn memory(self) -> u64 {
+    pub fn memory(self, demand: Demand) -> u64 {
         let last = self.points_in.saturating_mul(1_u64 << self.levels().min(62)).max(self.points_out);
-        last.saturating_mul(BYTES_A_POINT).saturating_add(BYTES)
+        demand.bytes(last)
     }
 
     pub(super) fn lane(self) -> Lane {
@@ -71,13 +65,13 @@ impl Default for Pace {
     }
 }
 
-/// How much of the distance to a new measurement the correction goes, in its logarithm.
+/// The part of the way to a new measurement that a correction goes, in its logarithm.
 const STEP: f64 = 0.2;
-/// No measurement counts for more than this: a machine that was suspended, say.
+/// The largest error that a measurement counts for: a machine may have been suspended.
 const OUTLIER: f64 = 20.0;
 
 impl Pace {
-    /// From what two requests took, the second larger than the first.
+    /// A line through what two requests took, the second larger than the first.
     pub(super) fn measured(small: (Cost, Duration), large: (Cost, Duration)) -> Self {
         let (read_small, read_large) = (small.0.points_read(), large.0.points_read());
         let (small, large) = (small.1.as_secs_f64(), large.1.as_secs_f64());
@@ -97,7 +91,7 @@ impl Pace {
         Duration::try_from_secs_f64(seconds.min(1e9)).unwrap_or_default()
     }
 
-    /// A request took so long, counted as if it had had the machine to itself.
+    /// Corrects the lane of a request by the time that it took, as if it had had the machine to itself.
     pub(super) fn learn(&mut self, cost: Cost, took: Duration) {
         let estimate = self.estimate(cost).as_secs_f64();
         if estimate <= 0.0 || took.is_zero() {
@@ -130,7 +124,7 @@ mod tests {
         ] {
             assert_eq!(cost.levels(), levels, "{cost:?}");
         }
-        assert_eq!(cost(u64::MAX, u64::MAX).memory(), u64::MAX, "no overflow");
+        assert_eq!(cost(u64::MAX, u64::MAX).memory(Demand::default()), u64::MAX, "no overflow");
     }
 
     #[test]
@@ -146,7 +140,7 @@ mod tests {
         // BENCHMARKS.md: points in, ratio, megabytes of the whole process.
         for (points_in, ratio, megabytes) in [(100_000, 4, 155), (1_000_000, 4, 1122), (1_000_000, 16, 4026)]
         {
-            let estimate = cost(points_in, ratio * points_in).memory() / 1_000_000;
+            let estimate = cost(points_in, ratio * points_in).memory(Demand::default()) / 1_000_000;
             assert!((megabytes..3 * megabytes).contains(&estimate), "{points_in} at {ratio}: {estimate}");
         }
     }

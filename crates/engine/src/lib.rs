@@ -1,56 +1,61 @@
 //! Queue, workers, progress and cancellation: runs cascades for many callers at once.
 //!
 //! The [`Engine`] admits requests while the points they will give fit its budget, runs a few at a
-//! time on one set of worker threads, and hands each caller a [`Job`] to wait on. Dropping the job
+//! time on one set of worker threads, and hands each caller a [`Pending`] to wait on. Dropping that
 //! stops the work. Clients take turns, each has a share of the budget, and deadlines count the time
 //! in the queue. It knows nothing of files or HTTP.
 
 mod client;
+mod clock;
 mod cost;
 mod fair;
-mod job;
+mod pending;
 mod progress;
 mod queue;
 mod refusal;
+mod turns;
+mod workers;
 
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 pub use client::{Caller, Client};
+pub use clock::{Clock, SystemClock};
 pub use cost::Cost;
 pub use fair::Fair;
-pub use job::{Job, Outcome, ProgressHandle};
+pub use pending::{Outcome, Pending, ProgressHandle};
 pub use progress::{Progress, StageTimes};
 pub use queue::Permit;
 pub use refusal::Refusal;
 
 use cost::Pace;
 use densecloud::Request;
-use densecloud_cascade::{Backend, BackendError, Lane, Workers};
-use densecloud_cascade::{CascadeError, Settings, Silent, Target};
+use densecloud_cascade::{Backend, BackendError, LevelRunner, Patchwise};
+use densecloud_cascade::{CascadeError, CascadeOptions, Silent, Target};
 use densecloud_cloud::Position;
 use queue::{Bounds, Queue};
+use turns::Turns;
+use workers::{Lane, Workers};
 
-/// Sizes of the engine.
+/// Sizes of the engine. The defaults refuse nobody: a service sets its own limits.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct EngineConfig {
     /// Worker threads; each has its own session. 0 means one a processor.
     pub threads: usize,
-    /// Requests computed at the same time, on the same workers, and as many more small ones
-    /// ([`Lane::Express`]). 0 means as many as threads, so that one request's single-threaded stages
-    /// leave no processor idle.
+    /// Requests computed at the same time, on the same workers, and as many more small ones (of up to 100,000 points
+    /// out). 0 means as many as threads, so that one request's single-threaded stages leave no processor idle.
     pub concurrency: usize,
     /// Points out of all requests that are queued or running; beyond it requests are refused. One
     /// request alone is always admitted.
     pub queue_points: u64,
     /// The same of one client's requests. 0 means a quarter of all.
     pub client_points: u64,
-    /// Work that waits in a lane above which the lane takes no more requests, by the time that it takes on
-    /// the machine alone; of one client's the same part as of the points. What is at work does not count, nor does
-    /// the size of the request: only those after it would wait for it.
-    pub queue_time: Duration,
-    /// Bytes that requests at work may take together, as [`Cost::memory`] estimates them; more wait until
-    /// others are done, and a request above it is refused.
+    /// The longest that the work waiting in a lane may take, by the machine alone: above it the lane takes no more
+    /// requests. A client's work may take the same part of it as of the points. Work that runs does not count, nor does
+    /// the size of a new request: only those after it would wait for it. None is no limit.
+    pub queue_time: Option<Duration>,
+    /// Bytes that requests at work may take together, as [`Cost::memory`] estimates them: others wait until
+    /// there is room, and a request above it is refused.
     pub memory: u64,
 }
 
@@ -59,16 +64,46 @@ impl Default for EngineConfig {
         Self {
             threads: 0,
             concurrency: 0,
-            queue_points: 50_000_000,
+            queue_points: u64::MAX,
             client_points: 0,
-            queue_time: Duration::from_secs(15),
+            queue_time: None,
             memory: u64::MAX,
         }
     }
 }
 
+impl EngineConfig {
+    /// Threads of each lane.
+    fn threads(&self) -> usize {
+        or(self.threads, std::thread::available_parallelism().map_or(1, usize::from))
+    }
+}
+
+/// A setting, or its default where it is 0.
+fn or<T: Default + PartialEq>(value: T, default: T) -> T {
+    if value == T::default() { default } else { value }
+}
+
+/// Why an engine does not start.
+#[derive(Debug, Clone, thiserror::Error)]
+#[non_exhaustive]
+pub enum StartError {
+    /// The backend opens no session.
+    #[error(transparent)]
+    Backend(#[from] BackendError),
+    /// The system starts no more threads.
+    #[error("cannot start {count} threads: {why}")]
+    Threads {
+        /// How many were wanted.
+        count: usize,
+        /// The system's own words.
+        why: String,
+    },
+}
+
 /// Why a request has no result.
 #[derive(Debug, Clone, thiserror::Error)]
+#[non_exhaustive]
 pub enum EngineError {
     /// It was not admitted.
     #[error(transparent)]
@@ -84,7 +119,7 @@ pub enum EngineError {
         /// At work; nothing where it was never begun.
         worked: Duration,
     },
-    /// The job was dropped, or the engine shut down.
+    /// The [`Pending`] was dropped, or the engine shut down.
     #[error("cancelled")]
     Cancelled,
     /// The cascade refused the cloud, or failed.
@@ -114,6 +149,7 @@ pub struct Engine {
 struct Inner {
     queue: Arc<Queue>,
     workers: Arc<Workers>,
+    clock: Arc<dyn Clock>,
 }
 
 impl Drop for Inner {
@@ -123,37 +159,54 @@ impl Drop for Inner {
 }
 
 impl Engine {
-    /// Starts the workers over any backend.
+    /// Starts the workers over a backend that takes a patch at a time, with a session for each of its threads.
     ///
     /// # Errors
-    /// What [`Backend::open`] gives.
-    pub fn with_backend(backend: Arc<dyn Backend>, config: EngineConfig) -> Result<Self, BackendError> {
-        let or = |value: usize, default: usize| if value == 0 { default } else { value };
-        let processors = std::thread::available_parallelism().map_or(1, usize::from);
-        let threads = or(config.threads, processors);
-        let workers = Arc::new(Workers::new(backend, threads)?);
-        let client_points = match config.client_points {
-            0 => config.queue_points / 4,
-            points => points,
-        };
+    /// What [`Backend::open`] gives, and [`StartError::Threads`].
+    pub fn with_backend(backend: Arc<dyn Backend>, config: EngineConfig) -> Result<Self, StartError> {
+        let sessions = Turns::open(&*backend, config.threads())?;
+        Self::new(Arc::new(Patchwise::with_sessions(backend, sessions)), config)
+    }
+
+    /// Starts the workers over any runner.
+    ///
+    /// # Errors
+    /// [`StartError::Threads`].
+    pub fn new(runner: Arc<dyn LevelRunner>, config: EngineConfig) -> Result<Self, StartError> {
+        Self::with_clock(runner, config, Arc::new(SystemClock))
+    }
+
+    /// Starts the workers over any runner, by any clock.
+    ///
+    /// # Errors
+    /// [`StartError::Threads`].
+    pub fn with_clock(
+        runner: Arc<dyn LevelRunner>,
+        config: EngineConfig,
+        clock: Arc<dyn Clock>,
+    ) -> Result<Self, StartError> {
+        let threads = config.threads();
         let bounds = Bounds {
             points: config.queue_points,
-            client_points,
+            client_points: or(config.client_points, config.queue_points / 4),
             time: config.queue_time,
             memory: config.memory,
         };
-        let queue = Arc::new(Queue::new(bounds));
+        let queue = Arc::new(Queue::new(bounds, runner.demand(), Arc::clone(&clock)));
+        let workers = Arc::new(Workers::new(runner, threads)?);
+        // Dropped where a thread fails to start, which ends those before it.
+        let inner = Arc::new(Inner { queue, workers, clock });
         let concurrency = or(config.concurrency, threads);
         for i in 0..2 * concurrency {
             // The second half takes small requests alone: they never wait for a large one to end.
             let lane = (i >= concurrency).then_some(Lane::Express);
-            let (queue, workers) = (Arc::clone(&queue), Arc::clone(&workers));
+            let (queue, workers) = (Arc::clone(&inner.queue), Arc::clone(&inner.workers));
             std::thread::Builder::new()
                 .name(format!("densecloud-job-{i}"))
-                .spawn(move || job::work(&queue, &workers, lane))
-                .map_err(|e| BackendError::Library { why: format!("cannot start a thread: {e}") })?;
+                .spawn(move || pending::work(&queue, &workers, lane))
+                .map_err(|e| StartError::Threads { count: 2 * concurrency, why: e.to_string() })?;
         }
-        Ok(Self { inner: Arc::new(Inner { queue, workers }) })
+        Ok(Self { inner })
     }
 
     /// Runs every unit once, so that the first request is not slower than the others, and then two
@@ -162,9 +215,9 @@ impl Engine {
     /// # Errors
     /// [`EngineError::Cascade`] when the model does not run.
     pub fn warm_up(&self) -> Result<(), EngineError> {
-        let workers = &self.inner.workers;
-        let patch = workers.shape().patch_size;
-        let all = f64::from(1_u32 << workers.backend().units().min(6));
+        let runner = self.inner.workers.runner();
+        let patch = runner.shape().patch_size;
+        let all = f64::from(1_u32 << runner.units().min(6));
         self.timed(patch, all)?;
         let small = self.timed(patch, 2.0)?;
         let large = self.timed(4 * patch, 8.0)?;
@@ -172,7 +225,7 @@ impl Engine {
         Ok(())
     }
 
-    /// Upsamples so many points by `ratio`, beside the queue; says what it cost.
+    /// Upsamples a cloud of `points` points by `ratio`, beside the queue; says what it cost.
     fn timed(&self, points: usize, ratio: f64) -> Result<(Cost, Duration), EngineError> {
         // A spiral on the sphere: even, and without a file.
         let positions: Vec<Position> = (0..points)
@@ -182,24 +235,26 @@ impl Engine {
                 [r * angle.cos(), r * angle.sin(), z]
             })
             .collect();
-        let (target, settings) = (Target::Ratio(ratio), Settings::default());
-        let start = Instant::now();
-        let dense =
-            densecloud_cascade::upsample(&positions, target, &settings, &self.inner.workers, &Silent)?;
-        let cost = Cost { points_in: points as u64, points_out: dense.positions.len() as u64 };
-        Ok((cost, start.elapsed()))
+        let (target, options) = (Target::Ratio(ratio), CascadeOptions::default());
+        let Inner { workers, clock, .. } = &*self.inner;
+        let cost = Cost { points_in: points as u64, points_out: target.points_out(points as u64)? };
+        let start = clock.now();
+        workers.install(cost.lane(), || {
+            densecloud_cascade::upsample(&positions, target, &options, workers.runner(), &Silent)
+        })?;
+        Ok((cost, clock.now() - start))
     }
 
     /// Queues a request of the only client there is, without a deadline. Returns at once; cost O(points in).
     ///
     /// # Errors
     /// As [`Engine::submit_for`].
-    pub fn submit(&self, request: Request) -> Result<Job, EngineError> {
+    pub fn submit(&self, request: Request) -> Result<Pending, EngineError> {
         self.submit_for(&Caller::default(), request, None)
     }
 
     /// Takes the points of a request from the budget before the request is there: as soon as its size is
-    /// known, or guessed from below. They are given back when the permit is dropped.
+    /// known, or guessed from below. Dropping the permit gives them back.
     ///
     /// # Errors
     /// Any [`Refusal`].
@@ -207,16 +262,16 @@ impl Engine {
         self.inner.queue.admit(caller, cost)
     }
 
-    /// Whether [`Engine::reserve`] would do so for a request of which no more is known; takes nothing. A refusal's time
-    /// is that of one as large as those before it.
+    /// Would [`Engine::reserve`] accept the smallest request possible? Reserves nothing. `cost` is the least that is known
+    /// of it; a refusal's time is that of a request as large as those before it.
     ///
     /// # Errors
-    /// The same.
+    /// As [`Engine::reserve`].
     pub fn would_admit(&self, caller: &Caller, cost: Cost) -> Result<(), Refusal> {
         self.inner.queue.would_admit(caller, cost)
     }
 
-    /// Whether a request of this size fits into the memory that all together may take.
+    /// Checks that a request of this size fits into the memory that all together may take.
     ///
     /// # Errors
     /// [`Refusal::TooBig`].
@@ -235,7 +290,7 @@ impl Engine {
         caller: &Caller,
         request: Request,
         reserved: Option<Permit>,
-    ) -> Result<Job, EngineError> {
+    ) -> Result<Pending, EngineError> {
         let finite =
             request.cloud.positions.iter().filter(|p| p.iter().all(|c| c.is_finite())).count() as u64;
         let cost = Cost { points_in: finite, points_out: request.target.points_out(finite)? };
@@ -247,7 +302,7 @@ impl Engine {
             }
             None => self.reserve(caller, cost)?,
         };
-        Ok(Job::queue(&self.inner.queue, request, caller, permit))
+        Ok(Pending::queue(&self.inner, request, caller, permit))
     }
 
     /// Points out of all requests that are reserved, queued or running.
@@ -274,7 +329,7 @@ impl Engine {
         self.inner.queue.bounds().memory
     }
 
-    /// How long all that is admitted and not done will take.
+    /// How long the work that is admitted and not done will take.
     #[must_use]
     pub fn backlog(&self) -> Duration {
         self.inner.queue.backlog()
@@ -296,7 +351,7 @@ impl Engine {
     /// Where the model runs: `cpu`, for example.
     #[must_use]
     pub fn provider(&self) -> &str {
-        self.inner.workers.backend().provider()
+        self.inner.workers.runner().provider()
     }
 
     /// Worker threads.

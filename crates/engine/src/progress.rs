@@ -1,19 +1,20 @@
-//! How far a job is, and how long its stages took.
+//! How far a request is, and how long its stages took.
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
+use super::clock::Clock;
 use densecloud_cascade::{Observer, Stage};
 
-/// A moment in a job's life.
+/// A moment in a request's life.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Progress {
-    /// The stage that runs; none while the job waits in the queue, and when it is done.
+    /// The stage that runs; none while the request waits in the queue, and when it is done.
     pub stage: Option<Stage>,
-    /// The level that runs, from 1; 0 while the job waits.
+    /// The level that runs, from 1; 0 while the request waits.
     pub level: usize,
-    /// How many levels there are; 0 while the job waits.
+    /// How many levels there are; 0 while the request waits.
     pub levels: usize,
     /// Share of the whole work that is done, 0 to 1, estimated.
     pub fraction: f64,
@@ -41,6 +42,7 @@ const SHARES: [f64; Stage::ALL.len()] = [0.01, 0.06, 0.53, 0.40, 0.0];
 
 /// Watches one cascade: the engine's [`Observer`].
 pub(super) struct Watch {
+    clock: Arc<dyn Clock>,
     state: Mutex<State>,
     // Read before every batch and written at every batch's end, so not behind the mutex.
     cancelled: AtomicBool,
@@ -59,17 +61,18 @@ struct State {
 }
 
 impl State {
-    fn end_stage(&mut self) {
+    fn end_stage(&mut self, now: Instant) {
         if let Some((_, stage, start)) = self.current.take() {
-            self.times.0[stage as usize] += start.elapsed();
+            self.times.0[stage as usize] += now - start;
         }
     }
 }
 
 impl Watch {
     /// Of work that is cancelled by itself at the deadline.
-    pub(super) fn new(deadline: Option<Instant>) -> Self {
+    pub(super) fn new(clock: Arc<dyn Clock>, deadline: Option<Instant>) -> Self {
         Self {
+            clock,
             state: Mutex::default(),
             cancelled: AtomicBool::new(false),
             deadline,
@@ -88,8 +91,9 @@ impl Watch {
 
     /// Ends the last stage and gives the times.
     pub(super) fn finish(&self) -> StageTimes {
+        let now = self.clock.now();
         let mut state = self.lock();
-        state.end_stage();
+        state.end_stage(now);
         state.finished = true;
         state.times
     }
@@ -124,11 +128,12 @@ impl Observer for Watch {
     }
 
     fn begin(&self, level: usize, stage: Stage) {
+        let now = self.clock.now();
         let mut state = self.lock();
-        state.end_stage();
+        state.end_stage(now);
         self.done.store(0, Ordering::Relaxed);
         self.total.store(0, Ordering::Relaxed);
-        state.current = Some((level, stage, Instant::now()));
+        state.current = Some((level, stage, now));
     }
 
     fn advance(&self, done: usize, total: usize) {
@@ -139,6 +144,6 @@ impl Observer for Watch {
 
     fn cancelled(&self) -> bool {
         self.cancelled.load(Ordering::Relaxed)
-            || self.deadline.is_some_and(|deadline| Instant::now() >= deadline)
+            || self.deadline.is_some_and(|deadline| self.clock.now() >= deadline)
     }
 }

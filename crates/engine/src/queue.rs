@@ -6,11 +6,13 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use super::client::{Caller, Client};
+use super::clock::Clock;
 use super::cost::{Cost, Pace};
 use super::fair::Fair;
-use super::job::Task;
+use super::pending::Task;
 use super::refusal::Refusal;
-use densecloud_cascade::Lane;
+use super::workers::Lane;
+use densecloud_cascade::Demand;
 
 /// What a queue may hold.
 #[derive(Debug, Clone, Copy)]
@@ -19,8 +21,8 @@ pub(super) struct Bounds {
     pub(super) points: u64,
     /// Points out of one client's.
     pub(super) client_points: u64,
-    /// How long what waits in a lane may take above which no more is admitted to it.
-    pub(super) time: Duration,
+    /// The longest that the work waiting in a lane may take; above it no more is admitted. None is no limit.
+    pub(super) time: Option<Duration>,
     /// Bytes that all requests at work may take.
     pub(super) memory: u64,
 }
@@ -28,8 +30,10 @@ pub(super) struct Bounds {
 /// Tasks that wait, and the account of all that was admitted.
 pub(super) struct Queue {
     bounds: Bounds,
+    demand: Demand,
+    clock: Arc<dyn Clock>,
     state: Mutex<State>,
-    // Wakes job threads; a channel would not let a caller take its task back out.
+    // Wakes the queue's threads; a channel would not let a caller take its task back out.
     changed: Condvar,
 }
 
@@ -42,7 +46,7 @@ struct State {
     clients: HashMap<Client, [Load; 2]>,
     running: Vec<Running>,
     next_number: u64,
-    clock: Clock,
+    shared: SharedTime,
     pace: Pace,
     closed: bool,
 }
@@ -66,25 +70,23 @@ struct Running {
     since: Duration,
 }
 
-/// Time as each of the tasks at work has it to itself: with three of them it goes at a third of the pace. So
-/// what a task took by it is what the task would have taken alone.
+/// Time that goes slower the more tasks are at work: with three of them at a third of the pace. So a task takes by it what
+/// it would take alone.
 #[derive(Debug, Clone, Copy, Default)]
-struct Clock {
+struct SharedTime {
     time: Duration,
     looked: Option<Instant>,
 }
 
-impl Clock {
-    fn advance(&mut self, running: usize) {
-        let now = Instant::now();
+impl SharedTime {
+    fn advance(&mut self, running: usize, now: Instant) {
         if let Some(looked) = self.looked.replace(now) {
             self.time += (now - looked) / running.max(1) as u32;
         }
     }
 }
 
-/// Points of the queue's budget, and of its client's share; given back when dropped, wherever the work
-/// ends.
+/// Points of the queue's budget, and of its client's share. Dropping it, wherever the work ends, gives them back.
 #[must_use = "dropping a permit gives its points back"]
 pub struct Permit {
     queue: Arc<Queue>,
@@ -105,8 +107,7 @@ impl Permit {
         Duration::from_micros(self.time)
     }
 
-    /// Makes it one for another size, now that more is known: a smaller one always, a larger one where there is
-    /// room.
+    /// Changes its size, now that more is known: to a smaller one always, to a larger one where there is room.
     ///
     /// # Errors
     /// As [`super::Engine::reserve`]; it is as before then.
@@ -147,16 +148,16 @@ impl Turn<'_> {
     /// How long it has been at work, as if alone on the machine.
     pub(super) fn took(&self) -> Duration {
         let mut state = self.queue.lock();
-        state.look();
+        state.look(self.queue.clock.now());
         let since = state.running.iter().find(|r| r.number == self.number).map(|r| r.since);
-        state.clock.time.saturating_sub(since.unwrap_or(state.clock.time))
+        state.shared.time.saturating_sub(since.unwrap_or(state.shared.time))
     }
 }
 
 impl Drop for Turn<'_> {
     fn drop(&mut self) {
         let mut state = self.queue.lock();
-        state.look();
+        state.look(self.queue.clock.now());
         state.running.retain(|r| r.number != self.number);
         drop(state);
         // Its memory is free: for a task of either lane.
@@ -165,8 +166,8 @@ impl Drop for Turn<'_> {
 }
 
 impl State {
-    fn look(&mut self) {
-        self.clock.advance(self.running.len());
+    fn look(&mut self, now: Instant) {
+        self.shared.advance(self.running.len(), now);
     }
 
     fn time(&self, cost: Cost) -> u64 {
@@ -205,7 +206,7 @@ impl State {
         };
         let mine = |r: &&Running| r.lane == lane && client.is_none_or(|client| *client == r.client);
         let done = |r: &Running| {
-            let worked = self.clock.time.saturating_sub(r.since).as_micros();
+            let worked = self.shared.time.saturating_sub(r.since).as_micros();
             r.time.min(worked.try_into().unwrap_or(u64::MAX))
         };
         admitted.saturating_sub(self.running.iter().filter(mine).map(done).sum())
@@ -245,7 +246,7 @@ impl State {
         let used = self.memory();
         let [express, bulk] = &mut self.waiting;
         let alone = self.running.is_empty();
-        let fits = |task: &Arc<Task>| alone || used.saturating_add(task.cost.memory()) <= memory;
+        let fits = |task: &Arc<Task>| alone || used.saturating_add(task.memory) <= memory;
         if let Some(room) = bulk.peek().map(fits) {
             // Large ones first: small ones have threads of their own.
             if room && only.is_none() {
@@ -263,15 +264,15 @@ impl State {
 
 const SECOND: Duration = Duration::from_secs(1);
 
-/// The part of `time` that lies before `need` of `all` points are done; at least a second.
+/// The part of `time` after which `need` of `all` points are done; at least a second.
 fn part(time: u64, need: u64, all: u64) -> Duration {
     let share = need.min(all) as f64 / all.max(1) as f64;
     Duration::from_micros((time as f64 * share) as u64).max(SECOND)
 }
 
 impl Queue {
-    pub(super) fn new(bounds: Bounds) -> Self {
-        Self { bounds, state: Mutex::default(), changed: Condvar::new() }
+    pub(super) fn new(bounds: Bounds, demand: Demand, clock: Arc<dyn Clock>) -> Self {
+        Self { bounds, demand, clock, state: Mutex::default(), changed: Condvar::new() }
     }
 
     /// Nothing panics while it is held, so a poisoned lock is still sound.
@@ -288,8 +289,8 @@ impl Queue {
         Ok(Permit { queue: Arc::clone(self), client: caller.client.clone(), cost, time })
     }
 
-    /// Whether a request could be admitted, were it this small, or, where small ones wait for too long already, the
-    /// least of the large.
+    /// Would a request be admitted if it were this small, or, where small ones wait for too long already, the smallest of
+    /// the large?
     pub(super) fn would_admit(&self, caller: &Caller, cost: Cost) -> Result<(), Refusal> {
         let mut state = self.lock();
         let Err(refusal) = self.check(&mut state, caller, cost) else { return Ok(()) };
@@ -298,22 +299,28 @@ impl Queue {
         if waits && self.check(&mut state, caller, large).is_ok() {
             return Ok(());
         }
-        // How large it is nobody knows yet. It will hardly be the smallest there is, for which room comes soonest.
+        // Its size is not known yet. It will hardly be the smallest there is, for which room comes soonest.
         let requests: u64 = state.clients.values().flatten().map(|load| load.requests).sum();
         let typical = Cost { points_out: cost.points_out.max(state.points / requests.max(1)), ..cost };
         let later = self.check(&mut state, caller, typical).err().and_then(|refusal| refusal.retry_after());
         Err(refusal.no_sooner(later))
     }
 
-    /// Whether one request alone is within the bound of memory.
+    /// Bytes that a request takes at its height.
+    pub(super) fn memory_of(&self, cost: Cost) -> u64 {
+        cost.memory(self.demand)
+    }
+
+    /// Checks that one request alone is within the bound of memory.
     pub(super) fn check_memory(&self, cost: Cost) -> Result<(), Refusal> {
-        let (bytes, limit) = (cost.memory(), self.bounds.memory);
+        let (bytes, limit) = (self.memory_of(cost), self.bounds.memory);
         if bytes > limit { Err(Refusal::TooBig { bytes, limit }) } else { Ok(()) }
     }
 
     fn check(&self, state: &mut State, caller: &Caller, cost: Cost) -> Result<(), Refusal> {
         self.check_memory(cost)?;
-        state.look();
+        let now = self.clock.now();
+        state.look(now);
         let wanted = cost.points_out;
         let (queued, used) = (state.points, state.points_of(&caller.client));
         let Bounds { points, client_points, .. } = self.bounds;
@@ -335,7 +342,7 @@ impl Queue {
             return Err(Refusal::Full { wanted, queued, limit: points, retry_after });
         }
         self.check_time(state, &caller.client, cost.lane())?;
-        let left = caller.deadline.map(|deadline| deadline.saturating_duration_since(Instant::now()));
+        let left = caller.deadline.map(|deadline| deadline.saturating_duration_since(now));
         // One that is alone is always tried: estimates may be wrong, and only work corrects them.
         if let Some(left) = left.filter(|_| queued > 0) {
             let needed = state.done_in(&caller.client, cost);
@@ -346,9 +353,10 @@ impl Queue {
         Ok(())
     }
 
-    /// Whether what waits in a lane takes no longer than it may.
+    /// Checks that the work waiting in a lane takes no longer than it may.
     fn check_time(&self, state: &State, client: &Client, lane: Lane) -> Result<(), Refusal> {
         let Bounds { points, client_points, time, .. } = self.bounds;
+        let Some(time) = time else { return Ok(()) };
         let all = state.waiting_time(None, lane);
         let busy = |own, waiting: Duration, limit, pace: u32| Refusal::Busy {
             own,
@@ -384,16 +392,16 @@ impl Queue {
                 None => state = self.changed.wait(state).unwrap_or_else(PoisonError::into_inner),
             }
         };
-        state.look();
+        state.look(self.clock.now());
         let number = state.next_number;
         state.next_number += 1;
         let running = Running {
             number,
             client: task.client.clone(),
             lane: task.cost.lane(),
-            memory: task.cost.memory(),
+            memory: task.memory,
             time: state.time(task.cost),
-            since: state.clock.time,
+            since: state.shared.time,
         };
         state.running.push(running);
         Some((task, Turn { queue: self, number }))
@@ -411,7 +419,7 @@ impl Queue {
         self.changed.notify_all();
     }
 
-    /// Lets the job threads end and drops what waits.
+    /// Ends the queue's threads, and drops the tasks that wait.
     pub(super) fn close(&self) {
         let mut state = self.lock();
         state.closed = true;
@@ -455,7 +463,7 @@ impl Queue {
     /// Time for what is admitted and not done.
     pub(super) fn backlog(&self) -> Duration {
         let mut state = self.lock();
-        state.look();
+        state.look(self.clock.now());
         Duration::from_micros(state.backlog())
     }
 

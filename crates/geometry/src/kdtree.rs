@@ -1,5 +1,6 @@
 //! Exact nearest neighbours by a k-d tree of our own.
 
+use super::limit::indices;
 use densecloud_cloud::Point;
 
 /// Points in a leaf at most; leaves hold between half of this and this.
@@ -72,15 +73,16 @@ impl KdTree {
     /// Builds the tree: O(n log n), on all threads of the current pool. An empty slice gives a tree
     /// that finds nothing.
     ///
-    /// At most 2^32 points; more are ignored.
+    /// # Panics
+    /// Above [`MAX_POINTS`](crate::MAX_POINTS).
     #[must_use]
     pub fn new(points: &[Point]) -> Self {
-        let n = points.len().min(u32::MAX as usize);
+        let n = points.len();
         let mut depth = 0;
         while n.div_ceil(1 << depth) > LEAF {
             depth += 1;
         }
-        let mut items: Vec<(Point, u32)> = points[..n].iter().copied().zip(0..).collect();
+        let mut items: Vec<(Point, u32)> = points.iter().copied().zip(indices(n)).collect();
         let mut splits = vec![Split::default(); (1 << depth) - 1];
         build(&mut items, depth, &mut splits);
         let (lo, hi) = bounds(&items);
@@ -96,11 +98,14 @@ impl KdTree {
 
     /// Builds the tree and puts the points into its order: index `i` is then the `i`th of the points
     /// that come back, and points near each other mostly lie near each other in memory.
+    ///
+    /// # Panics
+    /// Above [`MAX_POINTS`](crate::MAX_POINTS).
     #[must_use]
     pub fn in_order(points: &[Point]) -> (Self, Vec<Point>) {
         let mut tree = Self::new(points);
         let sorted = tree.order.iter().map(|&i| points[i as usize]).collect();
-        tree.order = (0..tree.order.len() as u32).collect();
+        tree.order = indices(tree.order.len()).collect();
         (tree, sorted)
     }
 

@@ -12,11 +12,13 @@
 //!
 //! Everything is deterministic: the same values in give the same values out, whatever the number
 //! of threads; ties are broken by the lowest index. Coordinates must be finite: who reads them
-//! from outside drops or refuses the others first.
+//! from outside drops or refuses the others first. Indices have 32 bits: what takes points takes up to [`MAX_POINTS`]
+//! of them, and panics above; who reads points from outside asks [`check_count`] first.
 
 mod cells;
 mod farthest;
 mod kdtree;
+mod limit;
 mod mesh;
 mod mls;
 mod normals;
@@ -30,6 +32,7 @@ mod uniform;
 pub use cells::{Reach, cell_area, one_sided};
 pub use farthest::farthest_point_sampling;
 pub use kdtree::{KdTree, Neighbour, Walk};
+pub use limit::{MAX_POINTS, TooManyPoints, check_count, indices};
 pub use mesh::{Mesh, MeshError};
 pub use mls::project_to_surface;
 pub use normals::estimate_normals;

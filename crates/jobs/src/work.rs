@@ -78,7 +78,7 @@ impl Task {
     ///
     /// # Errors
     /// The engine's.
-    pub fn wait(&self, job: densecloud_engine::Job) -> Result<Outcome, EngineError> {
+    pub fn wait(&self, job: densecloud_engine::Pending) -> Result<Outcome, EngineError> {
         {
             let mut state = self.lock();
             let handle = job.progress_handle();

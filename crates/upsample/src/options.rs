@@ -5,7 +5,7 @@
 
 use std::fmt;
 
-use densecloud_cascade::{MAX_RATIO, Settings, Target};
+use densecloud_cascade::{CascadeOptions, MAX_RATIO, Target};
 use densecloud_cloud::Position;
 use densecloud_formats::Format;
 use serde::de::Error as _;
@@ -31,7 +31,7 @@ pub struct Options {
     /// How dense the result shall be; four times the input where nobody says.
     pub goal: Goal,
     /// How the cascade is run.
-    pub cascade: Settings,
+    pub cascade: CascadeOptions,
     /// What is done with the cascade's points.
     pub finish: Finish,
     /// The format of the result; that of the input where there is none.
@@ -42,7 +42,7 @@ impl Default for Options {
     fn default() -> Self {
         Self {
             goal: Goal::Target(Target::Ratio(4.0)),
-            cascade: Settings::default(),
+            cascade: CascadeOptions::default(),
             finish: Finish::default(),
             format: None,
         }

@@ -65,7 +65,7 @@ pub fn of(origin: &Origin) -> impl Iterator<Item = &str> {
 mod tests {
     use super::*;
     use crate::attributes::Finish;
-    use densecloud_cascade::Settings;
+    use densecloud_cascade::CascadeOptions;
     use densecloud_cloud::Cloud;
 
     #[test]
@@ -81,7 +81,7 @@ mod tests {
         let request = Request {
             cloud,
             target: Target::Ratio(7.3),
-            settings: Settings { seed: 5, ..Default::default() },
+            settings: CascadeOptions { seed: 5, ..Default::default() },
             finish,
         };
         let made = line(&model, &request);

@@ -1,6 +1,6 @@
 //! What a caller wants done.
 
-use densecloud_cascade::{Settings, Target};
+use densecloud_cascade::{CascadeOptions, Target};
 use densecloud_cloud::Cloud;
 
 use crate::attributes::Finish;
@@ -13,7 +13,7 @@ pub struct Request {
     /// How many points are wanted.
     pub target: Target,
     /// How to run the cascade.
-    pub settings: Settings,
+    pub settings: CascadeOptions,
     /// What is done with the cascade's points.
     pub finish: Finish,
 }
@@ -23,7 +23,7 @@ impl Request {
     /// proportion to the overlap, and so many of their points are merged as the overlap times the inner share.
     #[must_use]
     pub fn effort(&self) -> f64 {
-        let (usual, Settings { overlap, inner, .. }) = (Settings::default(), self.settings);
+        let (usual, CascadeOptions { overlap, inner, .. }) = (CascadeOptions::default(), self.settings);
         let (run, merged) = (overlap / usual.overlap, overlap * inner / (usual.overlap * usual.inner));
         run.max(merged).max(1.0)
     }

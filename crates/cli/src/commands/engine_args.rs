@@ -2,7 +2,6 @@
 
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::time::Duration;
 
 use clap::Args;
 
@@ -40,20 +39,13 @@ impl EngineArgs {
 
     /// Starts an engine for one request at a time.
     pub(super) fn engine(&self, model: Arc<Model>) -> Result<Engine, CliError> {
-        let config = EngineConfig {
-            threads: self.threads,
-            concurrency: 1,
-            queue_points: u64::MAX,
-            queue_time: Duration::from_secs(u32::MAX.into()),
-            ..EngineConfig::default()
-        };
+        let config = EngineConfig { threads: self.threads, concurrency: 1, ..EngineConfig::default() };
         start(model, config)
     }
 }
 
 /// Loads a model into ONNX Runtime, and starts an engine over it.
 pub(super) fn start(model: Arc<Model>, config: EngineConfig) -> Result<Engine, CliError> {
-    let backend = OnnxBackend::new(model);
-    let engine = backend.and_then(|backend| Engine::with_backend(Arc::new(backend), config));
-    engine.map_err(|e| CliError::Failed(e.to_string()))
+    let backend = OnnxBackend::new(model).map_err(|e| CliError::Failed(e.to_string()))?;
+    Engine::with_backend(Arc::new(backend), config).map_err(|e| CliError::Failed(e.to_string()))
 }

@@ -16,7 +16,7 @@ use densecloud::Request;
 use densecloud::attributes::Finish;
 use densecloud_cascade::Target;
 use densecloud_cloud::Position;
-use densecloud_engine::{Engine, Job};
+use densecloud_engine::{Engine, Pending};
 use densecloud_formats::read_mesh_file;
 use densecloud_geometry::SurfaceDistance;
 
@@ -95,7 +95,7 @@ struct Shape<'a> {
 struct Cascade {
     engine: Engine,
     target: Target,
-    settings: densecloud_cascade::Settings,
+    settings: densecloud_cascade::CascadeOptions,
 }
 
 pub(super) fn run(args: &EvaluateArgs) -> Result<(), CliError> {
@@ -234,7 +234,7 @@ impl Cascade {
             settings: self.settings,
             finish: Finish::default(),
         };
-        let outcome = self.engine.submit(request).and_then(Job::wait);
+        let outcome = self.engine.submit(request).and_then(Pending::wait);
         outcome.map(|o| o.positions).map_err(|e| CliError::Failed(format!("shape `{name}`: {e}")))
     }
 }

@@ -36,8 +36,8 @@ impl CascadeArgs {
     ///
     /// # Errors
     /// As [`OptionArgs::options`].
-    pub(super) fn settings(&self, seed: u64) -> Result<densecloud_cascade::Settings, CliError> {
-        Ok(densecloud_cascade::Settings { seed, ..read(&self.0)?.cascade })
+    pub(super) fn settings(&self, seed: u64) -> Result<densecloud_cascade::CascadeOptions, CliError> {
+        Ok(densecloud_cascade::CascadeOptions { seed, ..read(&self.0)?.cascade })
     }
 }
 

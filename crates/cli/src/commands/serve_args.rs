@@ -15,6 +15,9 @@ use densecloud_backends::Model;
 use densecloud_engine::EngineConfig;
 use densecloud_server::{Access, Config, CorsOrigin, Keys, Limits, ModelInfo, Timeouts};
 
+/// Points out that a service takes at a time.
+const QUEUE_POINTS: u64 = 50_000_000;
+
 /// Serve over HTTP: POST a cloud to /upsample, get a denser one back.
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -41,7 +44,7 @@ pub(super) struct ServeArgs {
 
     /// Points in the results of all requests that are queued or worked on
     #[arg(long, env = "DENSECLOUD_QUEUE_POINTS", value_name = "N",
-        default_value_t = EngineConfig::default().queue_points)]
+        default_value_t = QUEUE_POINTS)]
     queue_points: u64,
 
     /// The same of one client's requests; 0 is a quarter of --queue-points
@@ -187,7 +190,7 @@ impl ServeArgs {
             threads: self.engine.threads,
             queue_points: self.queue_points,
             client_points: self.client_points,
-            queue_time: self.queue_time,
+            queue_time: Some(self.queue_time),
             memory: self.max_memory.bytes(self.max_held_bytes),
             ..Default::default()
         }

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use clap::{ArgGroup, Args};
 use densecloud::{Options, PrepareError, Prepared};
-use densecloud_engine::{EngineError, Job, Outcome, ProgressHandle};
+use densecloud_engine::{EngineError, Outcome, Pending, ProgressHandle};
 use densecloud_formats::Format;
 use indicatif::{ProgressBar, ProgressStyle};
 
@@ -105,7 +105,7 @@ fn refused(args: &UpsampleArgs, error: &PrepareError) -> CliError {
 }
 
 /// Waits with a progress bar on standard error if that is a terminal.
-fn wait(job: Job, quiet: bool) -> Result<Outcome, EngineError> {
+fn wait(job: Pending, quiet: bool) -> Result<Outcome, EngineError> {
     if quiet || !io::stderr().is_terminal() {
         return job.wait();
     }

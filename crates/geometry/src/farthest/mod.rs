@@ -3,6 +3,7 @@
 mod blocks;
 
 use super::kdtree::{bounds, squared};
+use super::limit::indices;
 use densecloud_cloud::Point;
 
 /// Points in a bucket. All buckets are full but the last, and a bucket is one block of memory, so
@@ -29,6 +30,9 @@ const CHOSEN: f32 = -1.0;
 ///
 /// Precondition: coordinates are finite.
 ///
+/// # Panics
+/// Above [`MAX_POINTS`](crate::MAX_POINTS).
+///
 /// ```
 /// use densecloud_geometry::farthest_point_sampling;
 ///
@@ -41,7 +45,7 @@ pub fn farthest_point_sampling(points: &[Point], count: usize, first: usize) -> 
     if count == 0 {
         return Vec::new();
     }
-    let first = first.min(points.len() - 1) as u32;
+    let first = first.min(indices(points.len()).len() - 1) as u32;
     if points.len() > BLOCKS_FROM {
         return blocks::sample(points, count, first, BLOCK);
     }

@@ -8,7 +8,7 @@ use crate::admission::deadline::Deadline;
 use crate::app::App;
 use crate::problem::Problem;
 use densecloud::Request;
-use densecloud_engine::{Caller, Client, Cost, EngineError, Job, Permit};
+use densecloud_engine::{Caller, Client, Cost, EngineError, Pending, Permit};
 
 /// What every request for work carries, whichever interface it came by: make one when its head is there, tell
 /// it the size as soon as that is known, and give it to [`crate::http::upsample::run`].
@@ -68,7 +68,7 @@ impl Ticket {
     ///
     /// # Errors
     /// The engine's.
-    pub(crate) fn submit(mut self, request: Request) -> Result<Job, Problem> {
+    pub(crate) fn submit(mut self, request: Request) -> Result<Pending, Problem> {
         let reserved = self.reserved.take();
         let known = reserved.is_some();
         let job = self.app.engine.submit_for(&self.caller, request, reserved);

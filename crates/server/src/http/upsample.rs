@@ -25,7 +25,7 @@ use crate::problem::Problem;
 use densecloud::survey::Goal;
 use densecloud::{Options, Prepared, Report};
 use densecloud_cloud::Cloud;
-use densecloud_engine::{Client, EngineError, Job};
+use densecloud_engine::{Client, EngineError, Pending};
 use densecloud_formats::Format;
 
 /// The handler. A client that leaves drops this future at one of its waits, with it the job, and so
@@ -127,7 +127,7 @@ pub(crate) async fn run<T: Send + 'static>(
     ticket: Ticket,
     (bytes, upload): (usize, Duration),
     read: impl FnOnce(&App) -> Result<(UpsampleRequest, T), Problem> + Send + 'static,
-    begun: impl FnOnce(&Job),
+    begun: impl FnOnce(&Pending),
 ) -> Result<(Done, T), Problem> {
     let mut timing = Timing::default();
     timing.add(app, "upload", upload);
@@ -206,7 +206,7 @@ impl About {
 
 /// A cloud that the engine has taken.
 struct Submitted {
-    job: Job,
+    job: Pending,
     /// Room for the result, taken beforehand: a finished result never lacks memory.
     held: Held,
     report: Report,

@@ -31,6 +31,7 @@ impl From<CascadeError> for Problem {
             CascadeError::Points { .. }
             | CascadeError::TooFewPoints { .. }
             | CascadeError::TooManyDuplicates { .. }
+            | CascadeError::TooManyPoints(_)
             | CascadeError::Frame(_) => Self::Impossible(error.to_string()),
             CascadeError::OutOfMemory(bytes) => Self::OutOfMemory(bytes),
             // Nobody but a stopping engine cancels a request that is still waited for.
@@ -82,6 +83,7 @@ impl Problem {
             EngineError::Cancelled => Self::Draining,
             EngineError::Cascade(error) => error.into(),
             EngineError::Internal(why) => Self::Internal(why),
+            other => Self::Internal(other.to_string()),
         }
     }
 }

@@ -1,25 +1,14 @@
-//! One upsampling unit as the rest of the program sees it, and the runtimes behind it.
+//! A unit that takes a patch at a time on the caller's thread: what [`Patchwise`](crate::Patchwise) runs levels with.
 //!
-//! A [`Backend`] is a loaded cascade. Each worker thread opens its own [`Session`] on it, and runs
-//! [`Batch`]es of patches through one unit at a time. [`onnx`] is the real one; [`fake`] moves
-//! points without a network, so that the engine and the server can be tested without a model.
+//! A [`Backend`] is a loaded model. Each thread at work holds a [`Session`] of it, and runs [`Batch`]es of patches
+//! through one unit after another.
 
+use crate::{BackendError, Demand, UnitShape};
 use half::f16;
 
 /// How many nearest points of the previous level each point takes skip features from (the paper's
 /// section 3.2, inter-level skip connections).
 pub const SKIP_NEIGHBOURS: usize = 5;
-
-/// The sizes that every unit of a cascade shares.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct UnitShape {
-    /// Points in a full patch (N).
-    pub patch_size: usize,
-    /// Neighbours in an edge block (K): a patch must hold more points than this.
-    pub neighbours: usize,
-    /// Feature channels a point (C).
-    pub channels: usize,
-}
 
 /// Input of one run of a unit: B patches of N points each, all of the same N.
 #[derive(Debug, Clone, Copy)]
@@ -57,7 +46,7 @@ pub struct Output {
     pub features: Vec<f32>,
 }
 
-/// A loaded cascade.
+/// A loaded model, of which each thread opens a session of its own.
 pub trait Backend: Send + Sync {
     /// The sizes that its units share.
     fn shape(&self) -> UnitShape;
@@ -68,14 +57,19 @@ pub trait Backend: Send + Sync {
     /// Where it runs, for logs and metrics: `cpu`, for example.
     fn provider(&self) -> &str;
 
-    /// Opens what one worker thread needs.
+    /// Memory that a cascade over it takes.
+    fn demand(&self) -> Demand {
+        Demand::default()
+    }
+
+    /// Opens what one thread needs.
     ///
     /// # Errors
     /// [`BackendError`] when the runtime refuses the model.
     fn open(&self) -> Result<Box<dyn Session>, BackendError>;
 }
 
-/// One worker's own way into a backend.
+/// One thread's own way into a backend.
 pub trait Session: Send {
     /// Runs unit `unit` (from 0) on one batch, and overwrites `output`.
     ///
@@ -84,34 +78,4 @@ pub trait Session: Send {
     /// # Errors
     /// [`BackendError::Run`] when the runtime fails.
     fn run(&mut self, unit: usize, batch: &Batch<'_>, output: &mut Output) -> Result<(), BackendError>;
-}
-
-/// Why a model cannot be loaded or run.
-#[derive(Debug, Clone, thiserror::Error)]
-pub enum BackendError {
-    /// ONNX Runtime's shared library is nowhere to be found, or cannot be used.
-    #[error(
-        "cannot load ONNX Runtime: {why}; set ORT_DYLIB_PATH to libonnxruntime.so (1.24 or newer), or put \
-         it next to the program"
-    )]
-    Library {
-        /// The loader's own words, and where it looked.
-        why: String,
-    },
-    /// A model folder is incomplete, damaged, or not a densecloud model.
-    #[error("model {model}: {why}")]
-    Model {
-        /// The model's name or folder.
-        model: String,
-        /// What is wrong with it.
-        why: String,
-    },
-    /// The runtime failed while running a unit.
-    #[error("unit {unit} failed: {why}")]
-    Run {
-        /// The unit, from 1.
-        unit: usize,
-        /// The runtime's own words.
-        why: String,
-    },
 }

@@ -1,20 +1,20 @@
-use std::time::{Duration, Instant};
+mod machine;
+
+use std::time::Duration;
 
 use proptest::prelude::*;
 
 use super::*;
-use densecloud_cascade::Fake;
+use densecloud_cascade::{Demand, Fake};
+use machine::Machine;
 
-fn engine(fake: &Fake, queue_points: u64) -> Engine {
-    let config = EngineConfig {
-        threads: 2,
-        concurrency: 1,
-        queue_points,
-        client_points: queue_points,
-        queue_time: Duration::from_secs(3600),
-        ..EngineConfig::default()
-    };
-    Engine::with_backend(Arc::new(fake.clone()), config).unwrap()
+fn sizes(queue_points: u64) -> EngineConfig {
+    let client_points = queue_points;
+    EngineConfig { threads: 2, concurrency: 1, queue_points, client_points, ..EngineConfig::default() }
+}
+
+fn engine(machine: &Machine, queue_points: u64) -> Engine {
+    machine.engine(sizes(queue_points))
 }
 
 fn request(points: u32, ratio: f64) -> Request {
@@ -27,49 +27,62 @@ fn request(points: u32, ratio: f64) -> Request {
     Request {
         cloud: positions.into(),
         target: Target::Ratio(ratio),
-        settings: Settings::default(),
+        settings: CascadeOptions::default(),
         finish: densecloud::attributes::Finish::default(),
     }
 }
 
-fn wait_until(what: &str, done: impl Fn() -> bool) {
-    let start = Instant::now();
+/// What another thread is about to do.
+fn wait_until(done: impl Fn() -> bool) {
     while !done() {
-        assert!(start.elapsed() < Duration::from_secs(20), "never happened: {what}");
-        std::thread::sleep(Duration::from_millis(2));
+        std::thread::yield_now();
     }
 }
 
 #[test]
-fn a_job_gives_what_the_cascade_gives() {
-    let engine = engine(&Fake::new(), 1_000_000);
+fn a_request_gives_what_the_cascade_gives() {
+    let engine = engine(&Machine::new(1), 1_000_000);
     let request = request(200, 4.0);
-    let workers = Workers::new(Arc::new(Fake::new()), 1).unwrap();
     let direct = densecloud_cascade::upsample(
         &request.cloud.positions,
         request.target,
         &request.settings,
-        &workers,
+        &Patchwise::new(Arc::new(Fake::new())),
         &Silent,
     )
     .unwrap();
     let outcome = engine.submit(request).unwrap().wait().unwrap();
     assert_eq!(outcome.positions, direct.positions);
-    assert!(outcome.stages.total() > Duration::ZERO);
+    assert!(outcome.stages.total() > Duration::ZERO && outcome.stages.total() == outcome.took);
     assert_eq!(engine.queued_points(), 0);
 }
 
 #[test]
-fn jobs_can_be_awaited() {
+fn requests_can_be_awaited() {
     let runtime = tokio::runtime::Builder::new_current_thread().build().unwrap();
-    let engine = engine(&Fake::new(), 1_000_000);
+    let engine = Engine::with_backend(Arc::new(Fake::new()), sizes(1_000_000)).unwrap();
     let outcome = runtime.block_on(async { engine.submit(request(100, 2.0)).unwrap().await }).unwrap();
     assert_eq!(outcome.positions.len(), 200);
 }
 
 #[test]
+fn the_defaults_refuse_nobody() {
+    let machine = Machine::new(1000);
+    let engine = machine.engine(EngineConfig::default());
+    engine.warm_up().unwrap();
+    machine.close();
+    let waiting: Vec<_> = (0..100).map(|_| engine.submit(request(1000, 64.0)).unwrap()).collect();
+    assert!(engine.backlog() > Duration::from_secs(3600));
+    let large = engine.reserve(&Caller::default(), cost(4_000_000_000, 256_000_000_000)).unwrap();
+    drop((waiting, large));
+    machine.open_gate();
+}
+
+#[test]
 fn beyond_the_budget_requests_are_refused() {
-    let engine = engine(&Fake::slow(Duration::from_millis(20)), 1000);
+    let machine = Machine::new(20);
+    let engine = engine(&machine, 1000);
+    machine.close();
     let first = engine.submit(request(200, 4.0)).unwrap();
     assert_eq!(engine.queued_points(), 800);
     let refused = engine.submit(request(200, 2.0)).err().unwrap();
@@ -79,6 +92,7 @@ fn beyond_the_budget_requests_are_refused() {
     );
     let second = engine.submit(request(100, 2.0)).unwrap();
     assert_eq!(engine.queued_points(), 1000);
+    machine.open_gate();
     first.wait().unwrap();
     second.wait().unwrap();
     assert_eq!(engine.queued_points(), 0);
@@ -86,49 +100,49 @@ fn beyond_the_budget_requests_are_refused() {
 
 #[test]
 fn one_request_above_the_budget_runs_alone() {
-    let engine = engine(&Fake::new(), 10);
+    let engine = engine(&Machine::new(1), 10);
     assert_eq!(engine.submit(request(100, 2.0)).unwrap().wait().unwrap().positions.len(), 200);
 }
 
 #[test]
-fn dropping_a_job_stops_it_and_frees_its_points() {
-    let fake = Fake::slow(Duration::from_millis(5));
-    let engine = engine(&fake, 1_000_000);
+fn dropping_a_request_stops_it_and_frees_its_points() {
+    let machine = Machine::new(5);
+    let engine = engine(&machine, 1_000_000);
+    machine.close();
     let running = engine.submit(request(2000, 64.0)).unwrap();
     let waiting = engine.submit(request(2000, 64.0)).unwrap();
-    wait_until("the first batch", || fake.batches() > 0);
+    machine.wait_for_a_batch();
     drop(waiting);
-    assert_eq!(engine.queued_points(), 128_000, "a waiting job is freed at once");
+    assert_eq!(engine.queued_points(), 128_000, "a waiting request is freed at once");
     drop(running);
-    wait_until("the running job's points are free", || engine.queued_points() == 0);
-    let batches = fake.batches();
-    std::thread::sleep(Duration::from_millis(50));
-    assert_eq!(fake.batches(), batches, "work goes on for nobody");
-    assert!(batches < 500, "ran to its end");
+    assert_eq!(engine.queued_points(), 128_000, "a running one when its work has stopped");
+    machine.open_gate();
+    wait_until(|| engine.queued_points() == 0);
+    assert!(machine.batches() <= 2, "one a thread was begun: {}", machine.batches());
 }
 
 #[test]
 fn progress_grows_to_the_last_stage() {
-    let fake = Fake::slow(Duration::from_millis(2));
-    let engine = engine(&fake, 1_000_000);
-    let job = engine.submit(request(300, 4.0)).unwrap();
-    let handle = job.progress_handle();
-    let (mut last, mut levels) = (0.0, 0);
-    let waiter = std::thread::spawn(move || job.wait());
+    let machine = Machine::new(2);
+    let engine = engine(&machine, 1_000_000);
+    let pending = engine.submit(request(300, 4.0)).unwrap();
+    let handle = pending.progress_handle();
+    let waiter = std::thread::spawn(move || pending.wait());
+    let mut last = 0.0;
     while !waiter.is_finished() {
         let progress = handle.progress();
         assert!(progress.fraction >= last && progress.fraction <= 1.0, "{progress:?} after {last}");
-        (last, levels) = (progress.fraction, progress.levels);
-        std::thread::sleep(Duration::from_millis(1));
+        last = progress.fraction;
+        std::thread::yield_now();
     }
     waiter.join().unwrap().unwrap();
-    assert!(last > 0.3, "only {last} was ever seen");
-    assert_eq!(levels, 2);
+    let progress = handle.progress();
+    assert_eq!((progress.fraction, progress.level, progress.levels), (1.0, 2, 2));
 }
 
 #[test]
 fn errors_reach_the_caller() {
-    let engine = engine(&Fake::failing_at(2), 1_000_000);
+    let engine = engine(&Machine::over(Fake::failing_at(2), 1), 1_000_000);
     assert!(matches!(engine.submit(request(100, 99.0)), Err(EngineError::Cascade(CascadeError::Ratio(_)))));
     let few = engine.submit(request(5, 2.0)).unwrap().wait().unwrap_err();
     assert!(matches!(few, EngineError::Cascade(CascadeError::TooFewPoints { .. })), "{few}");
@@ -139,39 +153,53 @@ fn errors_reach_the_caller() {
 
 #[test]
 fn warm_up_learns_what_work_takes() {
-    let engine = engine(&Fake::slow(Duration::from_millis(1)), 1_000_000_000);
+    let machine = Machine::new(1);
+    let engine = engine(&machine, 1_000_000_000);
     assert_eq!(engine.estimate(cost(1000, 4000)), None);
     assert_eq!(engine.backlog(), Duration::ZERO);
     engine.warm_up().unwrap();
     assert_eq!(engine.backlog(), Duration::ZERO, "nothing waits");
-    let (small, large) = (engine.estimate(cost(1000, 4000)), engine.estimate(cost(20_000, 1_280_000)));
-    assert!(small.unwrap() > Duration::from_millis(1) && large.unwrap() > 50 * small.unwrap());
-    let _job = engine.submit(request(20_000, 64.0)).unwrap();
-    assert!(engine.backlog() > large.unwrap() / 2);
+    // A millisecond a patch of 32 points, and each point in two patches.
+    let milliseconds = |read: f64| read * 2.0 / 32.0;
+    for (size, read) in [(cost(1000, 4000), 3.0 * 1000.0), (cost(20_000, 1_280_000), 63.0 * 20_000.0)] {
+        let share = engine.estimate(size).unwrap().as_secs_f64() * 1000.0 / milliseconds(read);
+        assert!((0.8..1.5).contains(&share), "{share} of what {size:?} takes");
+    }
+    machine.close();
+    let large = engine.estimate(cost(20_000, 1_280_000)).unwrap();
+    let _pending = engine.submit(request(20_000, 64.0)).unwrap();
+    assert_eq!(engine.backlog().as_millis(), large.as_millis());
+    machine.open_gate();
 }
 
 #[test]
 fn a_dropped_engine_cancels_what_waits() {
-    let engine = engine(&Fake::slow(Duration::from_millis(5)), 1_000_000);
+    let machine = Machine::new(5);
+    let engine = engine(&machine, 1_000_000);
+    machine.close();
     let _running = engine.submit(request(1000, 16.0)).unwrap();
-    let waiting = engine.submit(request(100, 2.0)).unwrap();
+    machine.wait_for_a_batch();
+    let waiting = engine.submit(request(5000, 64.0)).unwrap();
     drop(engine);
     assert!(matches!(waiting.wait(), Err(EngineError::Cancelled)));
+    machine.open_gate();
 }
 
 #[test]
 fn a_small_request_does_not_wait_for_a_large_one() {
-    let fake = Fake::slow(Duration::from_millis(2));
-    let engine = engine(&fake, 1_000_000);
+    let machine = Machine::new(2);
+    let engine = engine(&machine, 1_000_000);
+    machine.close();
     let large = engine.submit(request(10_000, 64.0)).unwrap();
     let queued = engine.submit(request(5_000, 64.0)).unwrap();
-    wait_until("the first batch", || fake.batches() > 0);
+    machine.wait_for_a_batch();
+    machine.open_gate();
     for _ in 0..3 {
         assert_eq!(engine.submit(request(100, 4.0)).unwrap().wait().unwrap().positions.len(), 400);
     }
     assert_eq!(engine.queued_points(), 960_000, "neither of the large ones is done");
     drop((large, queued));
-    wait_until("the rest stopped", || engine.queued_points() == 0);
+    wait_until(|| engine.queued_points() == 0);
 }
 
 fn cost(points_in: u64, points_out: u64) -> Cost {
@@ -186,7 +214,7 @@ fn caller(name: &str) -> Caller {
 fn a_client_has_a_share_and_the_others_the_rest() {
     let config =
         EngineConfig { threads: 1, queue_points: 1000, client_points: 500, ..EngineConfig::default() };
-    let engine = Engine::with_backend(Arc::new(Fake::new()), config).unwrap();
+    let engine = Machine::new(1).engine(config);
     let (a, b) = (caller("a"), caller("b"));
     let first = engine.reserve(&a, cost(100, 400)).unwrap();
     let refused = engine.reserve(&a, cost(50, 101)).err().unwrap();
@@ -207,7 +235,7 @@ fn a_client_has_a_share_and_the_others_the_rest() {
 
 #[test]
 fn a_reservation_becomes_the_works_own() {
-    let engine = engine(&Fake::new(), 1000);
+    let engine = engine(&Machine::new(1), 1000);
     let me = caller("me");
     let permit = engine.reserve(&me, cost(100, 300)).unwrap();
     let job = engine.submit_for(&me, request(100, 2.0), Some(permit)).unwrap();
@@ -226,7 +254,7 @@ fn a_reservation_becomes_the_works_own() {
 
 #[test]
 fn retry_after_grows_with_what_waits() {
-    let engine = engine(&Fake::slow(Duration::from_millis(5)), 400_000);
+    let engine = engine(&Machine::new(5), 400_000);
     engine.warm_up().unwrap();
     let retry = |engine: &Engine, points: u64| match engine.reserve(&caller("b"), cost(points / 4, points)) {
         Err(Refusal::Full { retry_after, .. }) => retry_after,
@@ -243,22 +271,22 @@ fn retry_after_grows_with_what_waits() {
 
 #[test]
 fn what_waits_is_bounded_in_time_for_all_and_for_each_client() {
-    let fake = Fake::slow(Duration::from_millis(5));
+    let machine = Machine::new(5);
     let config = EngineConfig { threads: 1, concurrency: 1, ..EngineConfig::default() };
-    let engine = Engine::with_backend(Arc::new(fake.clone()), config).unwrap();
+    let engine = machine.engine(config);
     engine.warm_up().unwrap();
     let one = engine.estimate(cost(2000, 8000)).unwrap();
-    let config = EngineConfig { queue_time: 8 * one, ..config };
-    let engine = Engine::with_backend(Arc::new(fake), config).unwrap();
+    let engine = machine.engine(EngineConfig { queue_time: Some(8 * one), ..config });
     engine.warm_up().unwrap();
+    machine.close();
     // What is reserved does not wait: its upload may take minutes.
     let _reserved = engine.reserve(&caller("z"), cost(20_000, 80_000)).unwrap();
-    let mut jobs = Vec::new();
+    let mut taken = Vec::new();
     let (mut share, mut long) = (0, 0);
     for client in ["a", "b", "c", "d", "e", "f", "g"] {
         for _ in 0..20 {
             match engine.submit_for(&caller(client), request(2000, 4.0), None) {
-                Ok(job) => jobs.push(job),
+                Ok(pending) => taken.push(pending),
                 Err(EngineError::Refused(Refusal::Busy { own, waiting, limit, retry_after })) => {
                     assert!(waiting > limit && retry_after >= Duration::from_secs(1));
                     *(if own { &mut share } else { &mut long }) += 1;
@@ -267,82 +295,91 @@ fn what_waits_is_bounded_in_time_for_all_and_for_each_client() {
             }
         }
     }
-    // A client's share is a quarter, and a request that finds less is taken whole. Machines have hiccups.
-    assert!((4..70).contains(&jobs.len()), "{} were taken", jobs.len());
+    // Nine wait, the last of which found eight, and up to two threads have taken one each. A client's share is a quarter,
+    // and a request that finds less is taken whole.
+    assert!((9..=11).contains(&taken.len()), "{} were taken", taken.len());
     assert!(share > 0 && long > 0, "{share} and {long}");
     // The other lane is another queue.
     assert!(engine.would_admit(&caller("h"), cost(1, 1)).is_ok(), "it may be a large one");
     assert!(engine.reserve(&caller("h"), cost(100_000, 400_000)).is_ok());
+    drop(taken);
+    machine.open_gate();
 }
 
 #[test]
 fn a_hundred_requests_of_one_client_do_not_hold_up_anothers() {
-    let fake = Fake::slow(Duration::from_millis(1));
-    let config = EngineConfig { threads: 1, concurrency: 1, ..EngineConfig::default() };
-    let engine = Engine::with_backend(Arc::new(fake.clone()), config).unwrap();
+    let machine = Machine::new(1);
+    let engine = machine.engine(EngineConfig { threads: 1, concurrency: 1, ..EngineConfig::default() });
     let (sender, ends) = std::sync::mpsc::channel();
     let submit = |name: &'static str| {
-        let job = engine.submit_for(&caller(name), request(100, 4.0), None).unwrap();
+        let pending = engine.submit_for(&caller(name), request(100, 4.0), None).unwrap();
         let sender = sender.clone();
         std::thread::spawn(move || {
-            job.wait().unwrap();
+            pending.wait().unwrap();
             sender.send(name).unwrap();
         })
     };
+    machine.close();
     let mut waiters: Vec<_> = (0..100).map(|_| submit("greedy")).collect();
-    wait_until("the first batch", || fake.batches() > 0);
+    machine.wait_for_a_batch();
     waiters.push(submit("modest"));
-    let over = 101 - engine.queued_points() / 400;
+    machine.open_gate();
     for waiter in waiters {
         waiter.join().unwrap();
     }
-    let place = ends.iter().take(101).position(|name| name == "modest").unwrap() as u64;
+    let place = ends.iter().take(101).position(|name| name == "modest").unwrap();
     // Two threads take small requests: what they were at goes before it, and what is beside it may. The rest is
     // for those who tell.
-    assert!(place <= over + 8, "{place} went before it, of which {over} were over when it came");
+    assert!(place <= 8, "{place} went before it");
+}
+
+/// Of someone who waits no longer than this.
+fn until(machine: &Machine, left: Duration) -> Caller {
+    Caller { deadline: Some(machine.clock.now() + left), ..caller("hurried") }
 }
 
 #[test]
 fn a_task_past_its_deadline_is_never_started() {
-    let fake = Fake::slow(Duration::from_millis(5));
-    let engine = engine(&fake, 10_000_000);
+    let machine = Machine::new(0);
+    let engine = engine(&machine, 10_000_000);
+    machine.close();
     let running = engine.submit(request(20_000, 8.0)).unwrap();
-    wait_until("the first batch", || fake.batches() > 0);
-    let soon = Caller { deadline: Some(Instant::now() + Duration::from_millis(30)), ..caller("soon") };
+    machine.wait_for_a_batch();
+    let soon = until(&machine, Duration::from_millis(30));
     let waiting = engine.submit_for(&soon, request(20_000, 8.0), None).unwrap();
-    std::thread::sleep(Duration::from_millis(40));
+    machine.clock.advance(Duration::from_millis(40));
     drop(running);
+    machine.open_gate();
     match waiting.wait() {
         Err(EngineError::Deadline { waited, worked: Duration::ZERO }) => {
-            assert!(waited >= Duration::from_millis(30));
+            assert_eq!(waited, Duration::from_millis(40));
         }
         other => panic!("{other:?}"),
     }
-    assert!(engine.inner.queue.is_clean());
+    wait_until(|| engine.inner.queue.is_clean());
 }
 
 #[test]
 fn work_at_its_deadline_stops_within_a_batch() {
-    let fake = Fake::slow(Duration::from_millis(5));
-    let engine = engine(&fake, 10_000_000);
-    let soon = Caller { deadline: Some(Instant::now() + Duration::from_millis(100)), ..caller("soon") };
-    let late = engine.submit_for(&soon, request(20_000, 8.0), None).unwrap().wait();
-    match late {
-        Err(EngineError::Deadline { worked, .. }) => assert!(worked > Duration::ZERO),
+    let machine = Machine::new(5);
+    let engine = engine(&machine, 10_000_000);
+    let soon = until(&machine, Duration::from_millis(100));
+    match engine.submit_for(&soon, request(20_000, 8.0), None).unwrap().wait() {
+        Err(EngineError::Deadline { waited: Duration::ZERO, worked }) => {
+            assert!((100..=110).contains(&worked.as_millis()), "{worked:?}");
+        }
         other => panic!("{other:?}"),
     }
-    assert!(fake.batches() < 2000, "ran to its end");
-    wait_until("its points are free", || engine.inner.queue.is_clean());
+    assert!((20..=22).contains(&machine.batches()), "{} batches", machine.batches());
+    wait_until(|| engine.inner.queue.is_clean());
 }
 
 #[test]
 fn a_deadline_that_the_backlog_rules_out_is_refused_at_once() {
-    let engine = engine(&Fake::slow(Duration::from_millis(5)), 10_000_000);
+    let machine = Machine::new(5);
+    let engine = engine(&machine, 10_000_000);
     engine.warm_up().unwrap();
-    let until = |seconds: u64| Caller {
-        deadline: Some(Instant::now() + Duration::from_secs(seconds)),
-        ..caller("hurried")
-    };
+    let until = |seconds: u64| until(&machine, Duration::from_secs(seconds));
     // Alone it is tried, whatever the estimate.
     drop(engine.reserve(&until(1), cost(100_000, 6_400_000)).unwrap());
     let _before = engine.reserve(&caller("before"), cost(100_000, 800_000)).unwrap();
@@ -356,24 +393,26 @@ fn a_deadline_that_the_backlog_rules_out_is_refused_at_once() {
 
 #[test]
 fn work_waits_for_memory_and_is_refused_where_there_is_never_enough() {
-    let fake = Fake::slow(Duration::from_millis(2));
-    let one = cost(10_000, 160_000).memory();
+    let machine = Machine::new(2);
+    let one = cost(10_000, 640_000).memory(Demand::default());
     let config = EngineConfig { threads: 2, concurrency: 2, memory: 2 * one - 1, ..EngineConfig::default() };
-    let engine = Engine::with_backend(Arc::new(fake.clone()), config).unwrap();
-    let refused = engine.reserve(&caller("a"), cost(20_000, 640_000)).err().unwrap();
+    let engine = machine.engine(config);
+    let refused = engine.reserve(&caller("a"), cost(30_000, 1_920_000)).err().unwrap();
     assert!(matches!(refused, Refusal::TooBig { .. }), "{refused}");
-    let first = engine.submit(request(10_000, 16.0)).unwrap();
-    let second = engine.submit(request(10_000, 16.0)).unwrap();
-    wait_until("the first batch", || fake.batches() > 0);
+    machine.close();
+    let first = engine.submit(request(10_000, 64.0)).unwrap();
+    let second = engine.submit(request(10_000, 64.0)).unwrap();
+    machine.wait_for_a_batch();
     let waits = second.progress_handle();
     assert_eq!(engine.memory(), one, "one of the two");
     assert_eq!(waits.progress().levels, 0);
+    machine.open_gate();
     // A small one fits beside it.
     assert_eq!(engine.submit(request(100, 4.0)).unwrap().wait().unwrap().positions.len(), 400);
     drop(first);
-    wait_until("the second begins", || waits.progress().levels > 0);
+    wait_until(|| waits.progress().levels > 0);
     drop(second);
-    wait_until("the rest stopped", || engine.memory() == 0 && engine.inner.queue.is_clean());
+    wait_until(|| engine.memory() == 0 && engine.inner.queue.is_clean());
 }
 
 /// What can happen to requests.
@@ -384,7 +423,7 @@ enum Step {
     /// With the permit that was taken longest ago.
     Use(u32),
     DropPermit,
-    DropJob,
+    DropPending,
     Wait,
 }
 
@@ -395,7 +434,7 @@ fn step() -> impl Strategy<Value = Step> {
         2 => (0_u8..3, 1_u32..120, ratio).prop_map(|(c, n, r)| Step::Submit(c, n, r)),
         2 => (1_u32..120).prop_map(Step::Use),
         1 => Just(Step::DropPermit),
-        1 => Just(Step::DropJob),
+        1 => Just(Step::DropPending),
         1 => Just(Step::Wait),
     ]
 }
@@ -410,8 +449,9 @@ proptest! {
         let config = EngineConfig {
             threads: 2, queue_points: 1500, client_points: 900, ..EngineConfig::default()
         };
-        let engine = Engine::with_backend(Arc::new(Fake::failing_at(7)), config).unwrap();
-        let (mut permits, mut jobs) = (std::collections::VecDeque::new(), std::collections::VecDeque::new());
+        let machine = Machine::over(Fake::failing_at(7), 1);
+        let engine = machine.engine(config);
+        let (mut permits, mut pending) = (std::collections::VecDeque::new(), std::collections::VecDeque::new());
         for step in steps {
             match step {
                 Step::Reserve(client, points, ratio) => {
@@ -420,22 +460,22 @@ proptest! {
                     permits.extend(engine.reserve(&of, size).ok().map(|permit| (of, permit)));
                 }
                 Step::Submit(client, points, ratio) => {
-                    let deadline = (ratio == 5).then(|| Instant::now() + Duration::from_micros(300));
+                    let deadline = (ratio == 5).then(|| machine.clock.now() + Duration::from_millis(3));
                     let of = Caller { deadline, ..caller(&client.to_string()) };
-                    jobs.extend(engine.submit_for(&of, request(points, f64::from(ratio)), None));
+                    pending.extend(engine.submit_for(&of, request(points, f64::from(ratio)), None));
                 }
                 Step::Use(points) => {
                     if let Some((of, permit)) = permits.pop_front() {
-                        jobs.extend(engine.submit_for(&of, request(points, 3.0), Some(permit)));
+                        pending.extend(engine.submit_for(&of, request(points, 3.0), Some(permit)));
                     }
                 }
                 Step::DropPermit => drop(permits.pop_back()),
-                Step::DropJob => drop(jobs.pop_back()),
-                Step::Wait => drop(jobs.pop_front().map(Job::wait)),
+                Step::DropPending => drop(pending.pop_back()),
+                Step::Wait => drop(pending.pop_front().map(Pending::wait)),
             }
             prop_assert!(engine.queued_points() <= 1500);
         }
-        drop((permits, jobs));
-        wait_until("all points are back", || engine.inner.queue.is_clean());
+        drop((permits, pending));
+        wait_until(|| engine.inner.queue.is_clean());
     }
 }

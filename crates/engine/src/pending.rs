@@ -9,21 +9,22 @@ use std::time::{Duration, Instant};
 
 use tokio::sync::oneshot;
 
-use super::EngineError;
 use super::client::{Caller, Client};
+use super::clock::Clock;
 use super::cost::Cost;
 use super::progress::{Progress, StageTimes, Watch};
 use super::queue::{Permit, Queue, Turn};
+use super::workers::{Lane, Workers};
+use super::{EngineError, Inner};
 use densecloud::Request;
 use densecloud::attributes;
-use densecloud_cascade::{CascadeError, Observer, Stage};
-use densecloud_cascade::{Lane, Workers};
+use densecloud_cascade::{CascadeError, LevelRunner, Observer, Stage, Upsampled};
 use densecloud_cloud::{Attribute, Position};
 
-/// A request that was admitted. Await it, or [`Job::wait`] for it; drop it to stop the work within
+/// A request that was admitted. Await it, or [`Pending::wait`] for it; drop it to stop the work within
 /// one batch of patches.
-#[must_use = "dropping a job cancels it"]
-pub struct Job {
+#[must_use = "dropping it cancels the request"]
+pub struct Pending {
     queue: Arc<Queue>,
     task: Arc<Task>,
     // Tokio's channel because it can be awaited and waited for; it needs no runtime.
@@ -35,7 +36,7 @@ pub struct Job {
 pub struct Outcome {
     /// The dense cloud.
     pub positions: Vec<Position>,
-    /// What else is known of each point.
+    /// The attributes of each point.
     pub attributes: Vec<Attribute>,
     /// Points left out because a coordinate was NaN or infinite.
     pub dropped_non_finite: usize,
@@ -45,9 +46,9 @@ pub struct Outcome {
     pub apart: usize,
     /// How long each stage took, over all levels.
     pub stages: StageTimes,
-    /// How long the engine took it to need when it was admitted, alone on the machine.
+    /// How long the engine expected it to take alone on the machine, when it was admitted.
     pub estimate: Duration,
-    /// How long it took, without the time that others had.
+    /// How long it took, less the time that others had.
     pub took: Duration,
 }
 
@@ -75,17 +76,20 @@ impl Outcome {
     }
 }
 
-/// What queue, job thread and caller share.
+/// What the queue, its threads and the caller share.
 pub(super) struct Task {
     pub(super) client: Client,
     pub(super) cost: Cost,
+    /// Bytes that it will take at its height.
+    pub(super) memory: u64,
     /// How long it will take, alone on the machine.
     pub(super) estimate: Duration,
+    clock: Arc<dyn Clock>,
     watch: Watch,
     deadline: Option<Instant>,
     submitted: Instant,
     started: OnceLock<Instant>,
-    // Taken by the job thread that runs it; dropped with the task when nobody does.
+    // Taken by the thread that runs it; dropped with the task when nobody does.
     work: Mutex<Option<Work>>,
 }
 
@@ -104,14 +108,18 @@ impl Task {
     }
 
     fn is_late(&self) -> bool {
-        self.deadline.is_some_and(|deadline| Instant::now() >= deadline)
+        self.deadline.is_some_and(|deadline| self.clock.now() >= deadline)
     }
 
     /// Its end where its deadline has passed.
     fn late(&self) -> EngineError {
-        let begun = self.started.get();
-        let waited = begun.map_or_else(|| self.submitted.elapsed(), |begun| *begun - self.submitted);
-        EngineError::Deadline { waited, worked: begun.map_or(Duration::ZERO, Instant::elapsed) }
+        let worked = self.started.get().map_or(Duration::ZERO, |begun| self.clock.now() - *begun);
+        EngineError::Deadline { waited: self.waited(), worked }
+    }
+
+    /// How long it waited in the queue; so far, where it still does.
+    fn waited(&self) -> Duration {
+        self.started.get().copied().unwrap_or_else(|| self.clock.now()) - self.submitted
     }
 
     fn take(&self) -> Option<Work> {
@@ -119,18 +127,21 @@ impl Task {
     }
 }
 
-impl Job {
-    pub(super) fn queue(queue: &Arc<Queue>, request: Request, caller: &Caller, permit: Permit) -> Self {
+impl Pending {
+    pub(super) fn queue(engine: &Inner, request: Request, caller: &Caller, permit: Permit) -> Self {
+        let Inner { queue, clock, .. } = engine;
         let (sender, result) = oneshot::channel();
         let (cost, estimate) = (permit.cost(), permit.estimate());
         let work = Work { request, permit, result: sender };
         let task = Arc::new(Task {
             client: caller.client.clone(),
             cost,
+            memory: queue.memory_of(cost),
             estimate,
-            watch: Watch::new(caller.deadline),
+            clock: Arc::clone(clock),
+            watch: Watch::new(Arc::clone(clock), caller.deadline),
             deadline: caller.deadline,
-            submitted: Instant::now(),
+            submitted: clock.now(),
             started: OnceLock::new(),
             work: Mutex::new(Some(work)),
         });
@@ -144,23 +155,23 @@ impl Job {
         self.task.watch.progress()
     }
 
-    /// Something that tells how far it is while the job itself is being waited for.
+    /// Tells how far it is while the request itself is being waited for.
     #[must_use]
     pub fn progress_handle(&self) -> ProgressHandle {
         ProgressHandle(Arc::clone(&self.task))
     }
 
-    /// Blocks until it is done. Not for async code: await the job there.
+    /// Blocks until it is done. Not for async code: await it there.
     ///
     /// # Errors
-    /// As the job's own.
+    /// As awaiting it.
     pub fn wait(mut self) -> Result<Outcome, EngineError> {
         let result = std::mem::replace(&mut self.result, oneshot::channel().1);
         result.blocking_recv().unwrap_or(Err(EngineError::Cancelled))
     }
 }
 
-/// Tells how far a job is, and can cancel it; keeps nothing running.
+/// Tells how far a request is, and can cancel it; keeps nothing running.
 #[derive(Clone)]
 pub struct ProgressHandle(Arc<Task>);
 
@@ -174,18 +185,17 @@ impl ProgressHandle {
     /// How long it waited in the queue; so far, where it still does.
     #[must_use]
     pub fn waited(&self) -> Duration {
-        let task = &self.0;
-        task.started.get().map_or_else(|| task.submitted.elapsed(), |begun| *begun - task.submitted)
+        self.0.waited()
     }
 
-    /// Stops the work within one batch of patches; whoever waits for the job gets
+    /// Stops the work within one batch of patches; whoever waits for it gets
     /// [`EngineError::Cancelled`].
     pub fn cancel(&self) {
         self.0.cancel();
     }
 }
 
-impl Future for Job {
+impl Future for Pending {
     type Output = Result<Outcome, EngineError>;
 
     fn poll(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Self::Output> {
@@ -194,14 +204,14 @@ impl Future for Job {
     }
 }
 
-impl Drop for Job {
+impl Drop for Pending {
     fn drop(&mut self) {
         self.task.watch.cancel();
         self.queue.remove(&self.task);
     }
 }
 
-/// A job thread's life: one task after another until the queue closes.
+/// A queue thread's life: one task after another until the queue closes.
 pub(super) fn work(queue: &Queue, workers: &Workers, lane: Option<Lane>) {
     while let Some((task, turn)) = queue.next(lane) {
         let Some(work) = task.take() else { continue };
@@ -218,23 +228,10 @@ pub(super) fn work(queue: &Queue, workers: &Workers, lane: Option<Lane>) {
 fn run(queue: &Queue, workers: &Workers, task: &Task, work: Work, turn: Turn<'_>) {
     let Work { request, permit, result } = work;
     // Only this thread sets it, once.
-    let _ = task.started.set(Instant::now());
+    let _ = task.started.set(task.clock.now());
     // A panic is a bug in one request; it must not take the thread, and the service, with it.
     let done = std::panic::catch_unwind(AssertUnwindSafe(|| {
-        let Request { cloud, target, settings, finish } = &request;
-        let mut dense =
-            densecloud_cascade::upsample(&cloud.positions, *target, settings, workers, &task.watch)?;
-        if !finish.is_needed(cloud) {
-            return Ok::<_, CascadeError>((dense, Vec::new()));
-        }
-        task.watch.begin(task.watch.progress().levels.saturating_sub(1), Stage::Attributes);
-        let cancelled = || task.watch.cancelled();
-        let made = std::mem::take(&mut dense.positions);
-        let work = || attributes::finish(cloud, made, finish, &cancelled);
-        let (positions, attributes) =
-            workers.install(task.cost.lane(), work).ok_or(CascadeError::Cancelled)?;
-        dense.positions = positions;
-        Ok((dense, attributes))
+        workers.install(task.cost.lane(), || compute(&request, workers.runner(), &task.watch))
     }));
     let outcome = match done {
         Ok(Ok((dense, attributes))) => {
@@ -259,6 +256,25 @@ fn run(queue: &Queue, workers: &Workers, task: &Task, work: Work, turn: Turn<'_>
     drop((turn, permit));
     // A caller who left needs no answer.
     let _ = result.send(outcome);
+}
+
+/// The cascade, and what is done with its points.
+fn compute(
+    request: &Request,
+    runner: &dyn LevelRunner,
+    watch: &Watch,
+) -> Result<(Upsampled, Vec<Attribute>), CascadeError> {
+    let Request { cloud, target, settings, finish } = request;
+    let mut dense = densecloud_cascade::upsample(&cloud.positions, *target, settings, runner, watch)?;
+    if !finish.is_needed(cloud) {
+        return Ok((dense, Vec::new()));
+    }
+    watch.begin(watch.progress().levels.saturating_sub(1), Stage::Attributes);
+    let made = std::mem::take(&mut dense.positions);
+    let finished = attributes::finish(cloud, made, finish, &|| watch.cancelled());
+    let (positions, attributes) = finished.ok_or(CascadeError::Cancelled)?;
+    dense.positions = positions;
+    Ok((dense, attributes))
 }
 
 fn message(panic: &(dyn std::any::Any + Send)) -> String {

@@ -1,0 +1,155 @@
+//! What a part of a cloud cannot know alone.
+//!
+//! Points are placed by what lies around them, and by a few numbers of the whole: how far apart points usually are, how
+//! far strays usually stray, whether the input is clean. Those numbers are here, with the functions that compute
+//! them, and nowhere else: what is given a [`Globals`] that is filled computes the same for a part as for the whole.
+//!
+//! Three things of the whole are no numbers, and stay with their algorithms: the order in which farthest point sampling
+//! chooses, the random draws for its first points, and exact sizes.
+
+use crate::apart::PASSES;
+use densecloud_cloud::{Frame, Point};
+
+/// Every statistic of a whole cloud that the cascade uses. Each is computed at its first use, from the whole, and taken as
+/// it is afterwards; none is none so far.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Globals {
+    /// Between the file's coordinates and the local ones: [`Frame::fit`] over all finite points.
+    pub(crate) frame: Frame,
+    /// Points after each level, the target last: [`Plan`](crate::plan::Plan).
+    pub(crate) sizes: Vec<usize>,
+    /// The cloud's usual spacing, for each pass that looks for outliers: [`usual_spacing`].
+    pub(crate) usual_spacings: [Option<f32>; PASSES],
+    /// How even the input is: [`evenness`].
+    pub(crate) evenness: Option<f32>,
+    /// What each level made, from the first.
+    pub(crate) levels: Vec<LevelGlobals>,
+    /// What the polish of the last level goes by.
+    pub(crate) polish: PolishGlobals,
+}
+
+/// Statistics of what one level's unit made.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub(crate) struct LevelGlobals {
+    /// The distance from the input that most points keep: [`usual_distance`].
+    pub(crate) usual_distance: Option<f32>,
+    /// How many times a limit a point may stray: [`most_strayed`].
+    pub(crate) most_strayed: Option<f32>,
+}
+
+/// Statistics of the last level's polish.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub(crate) struct PolishGlobals {
+    /// From 0, where the input is noisy, to 1, where it is clean: [`trust`].
+    pub(crate) trust: Option<f32>,
+    /// Input points for each point of the sample whose midpoints are the candidates.
+    pub(crate) input_a_sample: Option<f32>,
+    /// Midpoints of that sample.
+    pub(crate) midpoints: Option<usize>,
+    /// The usual area of an input point's surroundings: [`median`].
+    pub(crate) usual_area: Option<f32>,
+    /// The usual number of points chosen for its share of the area: [`median`].
+    pub(crate) usual_density: Option<f32>,
+}
+
+impl Globals {
+    /// With what is known before the first level.
+    pub(crate) fn new(frame: Frame) -> Self {
+        Self {
+            frame,
+            sizes: Vec::new(),
+            usual_spacings: [None; PASSES],
+            evenness: None,
+            levels: Vec::new(),
+            polish: PolishGlobals::default(),
+        }
+    }
+
+    /// Takes the sizes of the levels.
+    pub(crate) fn plan(&mut self, sizes: Vec<usize>) {
+        self.levels.resize(sizes.len(), LevelGlobals::default());
+        self.sizes = sizes;
+    }
+}
+
+/// A statistic: the one that is known, or else `computed` once.
+pub(crate) fn once<T: Copy>(known: &mut Option<T>, computed: impl FnOnce() -> T) -> T {
+    *known.get_or_insert_with(computed)
+}
+
+/// The spacing that half of the points are below.
+pub(crate) fn usual_spacing(spacings: &[f32]) -> f32 {
+    nth(&mut spacings.to_vec(), spacings.len() / 2)
+}
+
+/// Variation of the distances to the nearest other, in the spacing there: even samples have 0.07 to 0.1, random ones 0.39
+/// to 0.44.
+const EVEN: f32 = 0.15;
+const RANDOM: f32 = 0.35;
+
+/// How even a sample is, from 0, as a random one, to 1: by the coefficient of variation of its points' distances to the
+/// nearest other, in the spacing there.
+pub(crate) fn evenness(nearest: impl Iterator<Item = f32>) -> f32 {
+    let (mut count, mut sum, mut squares) = (0.0_f64, 0.0, 0.0);
+    for distance in nearest.map(f64::from) {
+        count += 1.0;
+        sum += distance;
+        squares += distance * distance;
+    }
+    let mean = sum / count;
+    let variation = (squares / count - mean * mean).max(0.0).sqrt() / mean;
+    let variation = if variation.is_finite() { variation as f32 } else { 0.0 };
+    1.0 - ((variation - EVEN) / (RANDOM - EVEN)).clamp(0.0, 1.0)
+}
+
+/// The share of a level's points that is taken to lie where it should.
+const SOUND: f64 = 0.9;
+
+/// The distance from the input, in its spacing, that [`SOUND`] of a level's points keep; 0 where no point is finite.
+pub(crate) fn usual_distance(distances: impl Iterator<Item = f32>) -> f32 {
+    let mut sorted: Vec<f32> = distances.filter(|d| d.is_finite()).collect();
+    let sound = (SOUND * sorted.len() as f64) as usize;
+    if sound < sorted.len() { nth(&mut sorted, sound) } else { 0.0 }
+}
+
+/// By so many times a limit a point strays that is no near miss.
+const WORSE: f32 = 1.5;
+
+/// How many times a limit points may stray: once, where `size` points do not stray further. Where fewer do, as far as the
+/// `size` least strayed, but no further than [`WORSE`], unless fewer than `least` are left by that.
+pub(crate) fn most_strayed(strayed: &[f32], size: usize, least: usize) -> f32 {
+    if strayed.iter().filter(|s| **s <= 1.0).count() >= size {
+        return 1.0;
+    }
+    // NaN comes last, and is below no limit.
+    let mut sorted = strayed.to_vec();
+    let mut nth_of = |size: usize| match sorted.get(size - 1) {
+        Some(_) => nth(&mut sorted, size - 1).min(f32::INFINITY),
+        None => f32::INFINITY,
+    };
+    nth_of(size).min(nth_of(least).max(WORSE))
+}
+
+/// Root mean square distance of clean input from the surface that the units make of it, in its spacing:
+/// 0.01 to 0.036 on held-out shapes, even or random. Noise of 1 % of the shape leaves 0.055 and more.
+const CLEAN: f32 = 0.035;
+
+/// How far the input is to be trusted, from 0 to 1: by the `offsets` of its points from the surface that the units made of
+/// them, in their spacing.
+pub(crate) fn trust(offsets: &[Point], spacing: &[f32]) -> f32 {
+    let square = |(o, spacing): (&Point, &f32)| o.iter().map(|c| (c / spacing).powi(2)).sum::<f32>();
+    let squares: f32 = offsets.iter().zip(spacing).map(square).sum();
+    let share = CLEAN * CLEAN / (squares / offsets.len() as f32).max(f32::MIN_POSITIVE);
+    // Steep, since noise that is no larger than the units' own errors is rare.
+    share.powi(4).min(1.0)
+}
+
+/// The value that half of some values are below.
+pub(crate) fn median(values: &[f32]) -> f32 {
+    nth(&mut values.to_vec(), values.len() / 2)
+}
+
+/// The `n`th least, from 0.
+fn nth(values: &mut [f32], n: usize) -> f32 {
+    *values.select_nth_unstable_by(n, f32::total_cmp).1
+}
