@@ -21,6 +21,7 @@ use zstd::zstd_safe::CParameter;
 
 use crate::admission::budget::Held;
 use crate::app::App;
+use crate::connection::fields::{joined, weighted};
 use densecloud_formats::Format;
 
 /// How an answer is compressed.
@@ -47,14 +48,8 @@ impl Compression {
     /// What these headers like best: the highest quality, of equal ones zstd, and nothing where identity is
     /// liked better. `*` asks for nothing in particular, so it gets identity.
     pub(crate) fn preferred(headers: &HeaderMap) -> Option<Self> {
-        let values = headers.get_all(header::ACCEPT_ENCODING);
         let (mut best, mut identity) = (None, 0.0);
-        for coding in values.iter().filter_map(|value| value.to_str().ok()).flat_map(|value| value.split(','))
-        {
-            let mut parts = coding.split(';').map(str::trim);
-            let name = parts.next().unwrap_or_default().to_ascii_lowercase();
-            let quality = parts.find_map(|part| part.strip_prefix("q=").or(part.strip_prefix("Q=")));
-            let quality: f32 = quality.map_or(1.0, |quality| quality.parse().unwrap_or(0.0));
+        for (name, quality) in weighted(&joined(headers, header::ACCEPT_ENCODING)) {
             let named = match name.as_str() {
                 "gzip" | "x-gzip" => Self::Gzip,
                 "zstd" => Self::Zstd,

@@ -6,6 +6,7 @@
 //! | `activity` | when a connection, or an answer on one, counts as dead |
 //! | `record`, `request_id` | around each request: id, log, metrics |
 //! | `decode`, `compress` | encodings of bodies, in and out |
+//! | `fields` | what fields of a head say: weights, tags, ranges |
 //! | `cors` | pages from other sites |
 
 pub(crate) mod accept;
@@ -13,5 +14,6 @@ pub(crate) mod activity;
 pub(crate) mod compress;
 pub(crate) mod cors;
 pub(crate) mod decode;
+pub(crate) mod fields;
 pub(crate) mod record;
 pub(crate) mod request_id;

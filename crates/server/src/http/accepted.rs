@@ -2,6 +2,7 @@
 
 use axum::http::{HeaderMap, header};
 
+use crate::connection::fields::{joined, weighted};
 use crate::problem::Problem;
 use densecloud_formats::Format;
 
@@ -13,18 +14,12 @@ use densecloud_formats::Format;
 /// # Errors
 /// [`Problem::NotAcceptable`] when there is none that is written here.
 pub(crate) fn accepted(headers: &HeaderMap) -> Result<Option<Format>, Problem> {
-    let values: Vec<&str> =
-        headers.get_all(header::ACCEPT).iter().filter_map(|value| value.to_str().ok()).collect();
-    let all = values.join(",");
+    let all = joined(headers, header::ACCEPT);
     if all.trim().is_empty() {
         return Ok(None);
     }
     let mut best: Option<(f32, Option<Format>)> = None;
-    for range in all.split(',') {
-        let mut parts = range.split(';').map(str::trim);
-        let kind = parts.next().unwrap_or_default().to_ascii_lowercase();
-        let weight = parts.find_map(|p| p.strip_prefix("q=").or_else(|| p.strip_prefix("Q=")));
-        let quality = weight.map_or(1.0, |q| q.parse().unwrap_or(0.0));
+    for (kind, quality) in weighted(&all) {
         let what = match kind.as_str() {
             "*/*" | "application/*" | "application/octet-stream" => None,
             "text/*" => Format::from_media_type("text/plain"),

@@ -1,7 +1,9 @@
 //! What is told of a job, as JSON.
 
 use std::sync::Arc;
+use std::time::{Duration, UNIX_EPOCH};
 
+use humantime::format_rfc3339_millis;
 use serde::Serialize;
 use serde_json::Value;
 
@@ -205,22 +207,13 @@ fn told(failure: &Failure, request_id: &str) -> Value {
     problem.value(request_id)
 }
 
-/// A time as RFC 3339 has it, in UTC.
+/// The last millisecond that RFC 3339 has a text for, in the year 9999.
+const LAST: Time = 253_402_300_799_999;
+
+/// A time as RFC 3339 has it, in UTC; what is out of its years is at their end.
 fn rfc3339(time: Time) -> String {
-    let (days, rest) = (time.div_euclid(86_400_000), time.rem_euclid(86_400_000));
-    // Days to a date in years that begin in March, so that a leap day ends one (Howard Hinnant's
-    // `civil_from_days`).
-    let shifted = days + 719_468;
-    let (era, day) = (shifted.div_euclid(146_097), shifted.rem_euclid(146_097));
-    let year = (day - day / 1460 + day / 36_524 - day / 146_096) / 365;
-    let day = day - (365 * year + year / 4 - year / 100);
-    let month = (5 * day + 2) / 153;
-    let date = day - (153 * month + 2) / 5 + 1;
-    let (month, next) = if month < 10 { (month + 3, 0) } else { (month - 9, 1) };
-    let year = year + era * 400 + next;
-    let (seconds, millis) = (rest / 1000, rest % 1000);
-    let (hour, minute, second) = (seconds / 3600, seconds / 60 % 60, seconds % 60);
-    format!("{year:04}-{month:02}-{date:02}T{hour:02}:{minute:02}:{second:02}.{millis:03}Z")
+    let since = Duration::from_millis(time.clamp(0, LAST).unsigned_abs());
+    format_rfc3339_millis(UNIX_EPOCH + since).to_string()
 }
 
 #[cfg(test)]
@@ -235,6 +228,8 @@ mod tests {
             (1_709_251_199_999, "2024-02-29T23:59:59.999Z"),
             (4_107_542_400_000, "2100-03-01T00:00:00.000Z"),
             (1_795_392_000_123, "2026-11-23T00:00:00.123Z"),
+            (LAST, "9999-12-31T23:59:59.999Z"),
+            (Time::MAX, "9999-12-31T23:59:59.999Z"),
         ] {
             assert_eq!(rfc3339(time), text);
         }

@@ -1,13 +1,15 @@
 //! `GET /jobs/{id}/events`: a job's way to its end, as server-sent events.
 
+use std::convert::Infallible;
 use std::sync::Arc;
 use std::time::Duration;
 
-use axum::body::{Body, Bytes};
 use axum::extract::{Extension, State as Shared};
-use axum::http::{HeaderValue, header};
+use axum::http::header;
+use axum::response::sse::{Event, Sse};
 use axum::response::{IntoResponse, Response};
 use futures::stream;
+use serde::Serialize;
 use tokio::sync::watch;
 use tokio::time::{Instant, sleep};
 
@@ -36,15 +38,12 @@ pub(crate) async fn events(
     let alive = ALIVE.min(app.config.timeouts.stall / 3);
     let mut state = Events { app, jobs, client, id, changes, alive, seen: None, told: None, over: false };
     state.look().await?;
-    let body = Body::from_stream(stream::unfold(state, |mut events| async move {
-        let text = events.next().await?;
-        Some((Ok::<_, std::convert::Infallible>(Bytes::from(text)), events))
-    }));
-    let mut response = body.into_response();
-    let headers = response.headers_mut();
-    headers.insert(header::CONTENT_TYPE, HeaderValue::from_static("text/event-stream"));
-    headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
-    Ok(response)
+    let events = stream::unfold(state, |mut events| async move {
+        let event = events.next().await?;
+        Some((Ok::<_, Infallible>(event), events))
+    });
+    // Not to be kept, either, where axum says only that a cache must ask.
+    Ok(([(header::CACHE_CONTROL, "no-store")], Sse::new(events)).into_response())
 }
 
 struct Events {
@@ -80,8 +79,8 @@ impl Events {
         Ok(())
     }
 
-    /// The next event's text; nothing after the last.
-    async fn next(&mut self) -> Option<String> {
+    /// The next event; nothing after the last.
+    async fn next(&mut self) -> Option<Event> {
         let start = Instant::now();
         loop {
             if self.over || self.app.readiness.check() == Err(Problem::Draining) {
@@ -93,14 +92,14 @@ impl Events {
                     Err(Problem::NoJob(_)) => {
                         // Deleted or expired while it was watched.
                         self.over = true;
-                        return Some(format!("event: deleted\ndata: {{\"id\":\"{}\"}}\n\n", self.id));
+                        return Some(event("deleted", &serde_json::json!({ "id": self.id })));
                     }
                     // The job is there all the same; its watcher waits, too.
                     Err(error) => {
                         tracing::debug!(job = self.id, %error, "a watched job cannot be looked at");
                         self.changes.mark_changed();
                         sleep(TICK).await;
-                        return Some(": alive\n\n".to_owned());
+                        return Some(sign_of_life());
                     }
                 }
             }
@@ -113,16 +112,39 @@ impl Events {
                 self.told = Some(news);
                 self.over = document.over;
                 let kind = if document.over { document.state } else { "progress" };
-                let data = serde_json::to_string(&document).unwrap_or_default();
-                return Some(format!("event: {kind}\ndata: {data}\n\n"));
+                return Some(event(kind, document));
             }
             if start.elapsed() >= self.alive {
-                return Some(": alive\n\n".to_owned());
+                return Some(sign_of_life());
             }
             tokio::select! {
                 _ = self.changes.changed() => self.changes.mark_changed(),
                 () = sleep(TICK) => {}
             }
         }
+    }
+}
+
+/// An event of a kind, with a document. Strings and numbers only: there is nothing that JSON could not hold.
+fn event(kind: &str, document: &impl Serialize) -> Event {
+    Event::default().event(kind).data(serde_json::to_string(document).unwrap_or_default())
+}
+
+/// A comment, which readers skip.
+fn sign_of_life() -> Event {
+    Event::default().comment("alive")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[tokio::test]
+    async fn events_are_framed_as_browsers_read_them() {
+        let events = [event("deleted", &serde_json::json!({ "id": "ab12" })), sign_of_life()];
+        let stream = stream::iter(events.map(Ok::<_, Infallible>));
+        let body = Sse::new(stream).into_response().into_body();
+        let text = axum::body::to_bytes(body, 1000).await.expect("a body");
+        assert_eq!(text, "event: deleted\ndata: {\"id\":\"ab12\"}\n\n: alive\n\n");
     }
 }

@@ -14,6 +14,7 @@ use tokio::task::spawn_blocking;
 use crate::admission::budget::Held;
 use crate::app::App;
 use crate::connection::compress::{AsIs, Compression};
+use crate::connection::fields::{has_tag, joined, part};
 use crate::jobs::document::about;
 use crate::jobs::{Name, ask, is_seen};
 use crate::problem::Problem;
@@ -49,7 +50,7 @@ pub(crate) async fn result(
     };
     let plain = format!("\"{}\"", result.sha256);
     let tag = compression.map_or_else(|| plain.clone(), |one| one.tag(&plain));
-    let mut response = if has(&headers, header::IF_NONE_MATCH, &tag) {
+    let mut response = if has_tag(&joined(&headers, header::IF_NONE_MATCH), &tag) {
         let mut response = StatusCode::NOT_MODIFIED.into_response();
         response.headers_mut().insert(header::ETAG, value(&tag)?);
         response
@@ -93,34 +94,6 @@ fn value(text: &str) -> Result<HeaderValue, Problem> {
     HeaderValue::from_str(text).map_err(|error| Problem::Internal(error.to_string()))
 }
 
-/// Whether one of the tags in a header is this one, weak or not; `*` is any.
-fn has(headers: &HeaderMap, name: header::HeaderName, tag: &str) -> bool {
-    let values = headers.get_all(name);
-    let mut tags = values.iter().filter_map(|value| value.to_str().ok()).flat_map(|value| value.split(','));
-    tags.any(|one| one.trim() == "*" || one.trim().trim_start_matches("W/") == tag)
-}
-
-/// The part of so many bytes that a `Range` header asks for; none where the whole is to be sent: for what
-/// is not understood, and for several parts at once (RFC 9110, section 14.2, lets a server do so).
-fn part(header: &str, length: u64) -> Result<Option<Range<u64>>, Problem> {
-    let Some((first, last)) = header.trim().strip_prefix("bytes=").and_then(|range| range.split_once('-'))
-    else {
-        return Ok(None);
-    };
-    let range = match (first.trim(), last.trim()) {
-        ("", last) => last.parse().ok().map(|count: u64| length.saturating_sub(count)..length),
-        (first, "") => first.parse().ok().map(|first| first..length),
-        (first, last) => match (first.parse(), last.parse()) {
-            (Ok(first), Ok(last)) if first <= last => Some(first..length.min(u64::saturating_add(last, 1))),
-            _ => None,
-        },
-    };
-    match range {
-        Some(range) if range.start >= range.end => Err(Problem::Range { length }),
-        range => Ok(range),
-    }
-}
-
 /// So many bytes of a result from where its reader stands, read as fast as the client reads.
 fn body(file: Box<dyn BlobReader>, left: u64, held: Held) -> Body {
     Body::from_stream(stream::try_unfold((file, left, held), |(mut file, left, held)| async move {
@@ -158,25 +131,5 @@ mod tests {
         }
         assert!(body.frame().await.is_none());
         assert_eq!(budget.used(), 0);
-    }
-
-    #[test]
-    fn one_range_is_read_as_the_standard_says() {
-        for (header, expected) in [
-            ("bytes=0-0", Ok(Some(0..1))),
-            ("bytes=2-", Ok(Some(2..10))),
-            ("bytes=2-99", Ok(Some(2..10))),
-            ("bytes=9-18446744073709551615", Ok(Some(9..10))),
-            ("bytes=-3", Ok(Some(7..10))),
-            ("bytes=-99", Ok(Some(0..10))),
-            ("bytes=10-", Err(Problem::Range { length: 10 })),
-            ("bytes=-0", Err(Problem::Range { length: 10 })),
-            ("bytes=5-2", Ok(None)),
-            ("bytes=1-2,4-5", Ok(None)),
-            ("lines=1-2", Ok(None)),
-            ("bytes=x-", Ok(None)),
-        ] {
-            assert_eq!(part(header, 10), expected, "{header}");
-        }
     }
 }
