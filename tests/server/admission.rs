@@ -1,6 +1,5 @@
 //! Who is let in, with how much, and until when.
 
-use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -16,7 +15,11 @@ const BOB: &str = "authorization: Bearer bobs-own-secret-key\r\n";
 fn keys(folder: &Path) -> Access {
     let path = folder.join("keys");
     std::fs::write(&path, "# both\nalice alices-secret-key\nbob bobs-own-secret-key\n").unwrap();
-    std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o600)).unwrap();
+    #[cfg(unix)]
+    {
+        let owners = std::os::unix::fs::PermissionsExt::from_mode(0o600);
+        std::fs::set_permissions(&path, owners).unwrap();
+    }
     Access { keys: Some(Arc::new(Keys::read(&path).unwrap())), ..Access::default() }
 }
 

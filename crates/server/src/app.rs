@@ -1,4 +1,4 @@
-//! What the handlers share, and the table of paths.
+//! What the handlers share, and the paths that they answer.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -8,7 +8,6 @@ use axum::extract::State;
 use axum::http::header;
 use axum::middleware;
 use axum::response::IntoResponse;
-use axum::routing::{get, post};
 use metrics_exporter_prometheus::BuildError;
 use tokio::sync::{Semaphore, watch};
 use tokio::time::timeout;
@@ -22,6 +21,7 @@ use crate::http::readiness::Readiness;
 use crate::http::{openapi, upsample};
 use crate::metrics::Metrics;
 use crate::problem::Problem;
+use crate::route::{self, Route, delete, get, post};
 use crate::{grpc, inference, jobs};
 use densecloud_engine::Engine;
 use densecloud_jobs::Jobs;
@@ -81,20 +81,29 @@ impl App {
     }
 }
 
-/// All paths.
+/// All paths but those of gRPC.
+pub(super) fn routes() -> Vec<Route> {
+    let mut routes = vec![
+        post("/upsample", upsample::upsample),
+        get("/jobs", jobs::list),
+        post("/jobs", jobs::submit),
+        get("/jobs/{id}", jobs::get),
+        delete("/jobs/{id}", jobs::delete),
+        get("/jobs/{id}/result", jobs::result::result),
+        get("/jobs/{id}/events", jobs::events::events),
+        get("/healthz", healthz),
+        get("/readyz", readyz),
+        get("/metrics", metrics),
+        get("/openapi.json", openapi::openapi),
+        get("/docs", openapi::docs),
+    ];
+    routes.extend(inference::routes());
+    routes
+}
+
+/// What answers every request.
 pub(super) fn router(app: Arc<App>) -> Router {
-    let routes = Router::new()
-        .route("/upsample", post(upsample::upsample))
-        .route("/jobs", get(jobs::list).post(jobs::submit))
-        .route("/jobs/{id}", get(jobs::get).delete(jobs::delete))
-        .route("/jobs/{id}/result", get(jobs::result::result))
-        .route("/jobs/{id}/events", get(jobs::events::events))
-        .route("/healthz", get(healthz))
-        .route("/readyz", get(readyz))
-        .route("/metrics", get(metrics))
-        .route("/openapi.json", get(openapi::openapi))
-        .route("/docs", get(openapi::docs))
-        .merge(inference::routes())
+    let routes = route::router(routes())
         .merge(grpc::routes(&app))
         .fallback(|| async { Problem::NotFound })
         .method_not_allowed_fallback(|| async { Problem::MethodNotAllowed })

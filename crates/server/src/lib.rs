@@ -10,7 +10,8 @@
 //! | `grpc` | the same work in messages, on the same port; health and reflection |
 //! | `jobs` | jobs: taking, telling, sending, watching, running |
 //! | `problem` | every failure, its status and its words: the one table |
-//! | `app`, `config`, `metrics` | what handlers share and the table of paths; settings; numbers for operators |
+//! | `app`, `route`, `config`, `metrics` | what handlers share; the table of paths; settings; numbers for operators |
+//! | `manager` | what a service manager is told |
 //!
 //! Invariants: nothing blocks the async threads; no wait is without a deadline; memory grows with
 //! what arrives and is counted, not with what is claimed; work belongs to the request's future, so a
@@ -24,14 +25,17 @@ mod grpc;
 mod http;
 mod inference;
 mod jobs;
+mod manager;
 mod metrics;
 mod problem;
 pub mod proto;
+mod route;
+#[cfg(test)]
+mod testing;
 
 use std::sync::Arc;
 use std::time::Duration;
 
-use sd_notify::NotifyState;
 use tokio::net::TcpListener;
 use tokio::sync::watch;
 use tokio::task::{JoinSet, spawn_blocking};
@@ -97,7 +101,7 @@ pub async fn run(
             Ok(Ok(())) => {
                 tracing::info!(seconds = start.elapsed().as_secs_f64(), "ready");
                 app.readiness.ready();
-                tell_manager(NotifyState::Ready);
+                manager::ready();
                 if let Err(error) = jobs::work::start(&app) {
                     return internal(&error);
                 }
@@ -164,7 +168,7 @@ async fn join_jobs(app: &App, deadline: Instant) {
 /// that.
 async fn drain(app: &App, shutdown: impl Future<Output = ()>, close: &watch::Sender<bool>) -> Instant {
     shutdown.await;
-    tell_manager(NotifyState::Stopping);
+    manager::stopping();
     let lead = app.config.timeouts.lead;
     // Who was never told that it is ready sends nothing yet.
     if app.readiness.leave() && !lead.is_zero() {
@@ -181,13 +185,6 @@ async fn drain(app: &App, shutdown: impl Future<Output = ()>, close: &watch::Sen
     }
     close.send_replace(true);
     deadline
-}
-
-/// Without effect where no manager waits.
-fn tell_manager(state: NotifyState<'_>) {
-    if let Err(error) = sd_notify::notify(&[state]) {
-        tracing::warn!(%error, "the service manager cannot be told");
-    }
 }
 
 /// Lets connections send what they still buffer, and drops those that take longer.

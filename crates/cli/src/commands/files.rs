@@ -133,6 +133,7 @@ mod tests {
     }
 
     #[test]
+    #[cfg(unix)]
     fn a_link_stays_and_what_it_leads_to_is_written() {
         let dir = tempfile::tempdir().expect("a folder");
         std::fs::create_dir(dir.path().join("kept")).expect("a folder");
@@ -154,6 +155,7 @@ mod tests {
     }
 
     #[test]
+    #[cfg(unix)]
     fn a_named_pipe_is_written_to_and_stays() {
         use std::os::unix::fs::FileTypeExt;
         let dir = tempfile::tempdir().expect("a folder");

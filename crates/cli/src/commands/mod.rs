@@ -17,6 +17,7 @@ mod sample;
 mod serve;
 mod serve_args;
 mod settings;
+mod signals;
 mod upsample;
 mod upsample_remote;
 

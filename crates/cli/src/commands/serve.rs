@@ -2,15 +2,14 @@
 
 use std::io::{self, IsTerminal};
 use std::path::Path;
-use std::process::exit;
 use std::sync::Arc;
 
 use tokio::net::TcpListener;
 use tokio::runtime::Runtime;
-use tokio::signal::unix::{Signal, SignalKind, signal};
 use tracing_subscriber::EnvFilter;
 
 use super::serve_args::{Checked, LogFormat, ServeArgs};
+use super::signals::Signals;
 use super::{CliError, engine_args};
 use densecloud_backends::Model;
 use densecloud_engine::Engine;
@@ -79,11 +78,7 @@ fn start(args: &ServeArgs, mut config: Config, model: Arc<Model>) -> Result<(), 
 }
 
 async fn serve(args: &ServeArgs, engine: Engine, config: Config) -> Result<(), CliError> {
-    let failed = |e: io::Error| CliError::Failed(format!("cannot wait for signals: {e}"));
-    let signals = Signals {
-        terminate: signal(SignalKind::terminate()).map_err(failed)?,
-        interrupt: signal(SignalKind::interrupt()).map_err(failed)?,
-    };
+    let signals = Signals::catch().map_err(|e| CliError::Failed(format!("cannot wait for signals: {e}")))?;
     let (host, port) = (args.host.as_str(), args.port);
     let unbound = |e: io::Error| {
         CliError::Failed(format!(
@@ -100,32 +95,6 @@ async fn serve(args: &ServeArgs, engine: Engine, config: Config) -> Result<(), C
     densecloud_server::run(listener, engine, config, signals.first())
         .await
         .map_err(|e| CliError::Failed(e.to_string()))
-}
-
-struct Signals {
-    terminate: Signal,
-    interrupt: Signal,
-}
-
-impl Signals {
-    /// Resolves at the first signal; from then on the next one ends the process.
-    async fn first(mut self) {
-        self.next().await;
-        tokio::spawn(async move {
-            let number = self.next().await;
-            tracing::warn!("second signal: ending at once");
-            // What a shell reports for a process that a signal has ended.
-            exit(128 + number);
-        });
-    }
-
-    /// The number of the next signal.
-    async fn next(&mut self) -> i32 {
-        tokio::select! {
-            _ = self.terminate.recv() => SignalKind::terminate().as_raw_value(),
-            _ = self.interrupt.recv() => SignalKind::interrupt().as_raw_value(),
-        }
-    }
 }
 
 /// Does not wait for a parse or a warm-up that nobody needs any more.

@@ -2,10 +2,10 @@
 
 use std::fmt::Write;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use axum::http::HeaderMap;
-use tokio::time::timeout_at;
+use tokio::time::{Instant, timeout_at};
 
 use crate::problem::Problem;
 use densecloud_engine::ProgressHandle;
@@ -68,7 +68,11 @@ impl Deadline {
     }
 
     /// When it is; none where that is further away than there are times.
-    pub(crate) fn at(&self) -> Option<Instant> {
+    pub(crate) fn at(&self) -> Option<std::time::Instant> {
+        self.end().map(Instant::into_std)
+    }
+
+    fn end(&self) -> Option<Instant> {
         self.start.checked_add(self.limit)
     }
 
@@ -77,8 +81,8 @@ impl Deadline {
     /// # Errors
     /// [`Problem::Deadline`], or the work's own.
     pub(crate) async fn run<T>(&self, work: impl Future<Output = Result<T, Problem>>) -> Result<T, Problem> {
-        match self.at() {
-            Some(at) => timeout_at(at.into(), work).await.unwrap_or_else(|_| Err(self.over())),
+        match self.end() {
+            Some(end) => timeout_at(end, work).await.unwrap_or_else(|_| Err(self.over())),
             None => work.await,
         }
     }
@@ -132,6 +136,7 @@ impl Spent {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use tokio::time::advance;
 
     const MOST: Duration = Duration::from_secs(60);
 
@@ -155,13 +160,15 @@ mod tests {
         }
     }
 
-    #[test]
-    fn what_the_time_was_spent_for_is_told() {
+    #[tokio::test(start_paused = true)]
+    async fn what_the_time_was_spent_for_is_told() {
         let deadline = Deadline::new(Some(Duration::from_secs(2)), MOST);
         deadline.enter("of upload");
+        advance(Duration::from_millis(1500)).await;
         deadline.enter("of parsing");
-        let text = deadline.over().to_string();
-        assert!(text.contains("0.0 s of upload, 0.0 s of parsing"), "{text}");
+        let work = std::future::pending::<Result<(), Problem>>();
+        let text = deadline.run(work).await.expect_err("no end").to_string();
+        assert!(text.contains("1.5 s of upload, 0.5 s of parsing"), "{text}");
         assert!(text.contains("2 s"), "{text}");
     }
 }

@@ -4,7 +4,7 @@
 //! hexadecimal digits of its SHA-256. `#` begins a comment. A name may come several times, so that a key
 //! can be replaced while the old one still works. Keys themselves are hashed at once and kept nowhere.
 
-use std::fs::{self, File};
+use std::fs::File;
 use std::io::{self, Read};
 use std::path::Path;
 
@@ -133,9 +133,16 @@ fn digest(digits: &str) -> Option<[u8; 32]> {
     Some(bytes)
 }
 
+#[cfg(unix)]
 fn readable_by_all(path: &Path) -> io::Result<bool> {
     use std::os::unix::fs::PermissionsExt;
-    Ok(fs::metadata(path)?.permissions().mode() & 0o004 != 0)
+    Ok(std::fs::metadata(path)?.permissions().mode() & 0o004 != 0)
+}
+
+/// Elsewhere files have lists of who may read them, which are not looked into.
+#[cfg(not(unix))]
+fn readable_by_all(_path: &Path) -> io::Result<bool> {
+    Ok(false)
 }
 
 /// The form of a key that a file may have in its place.
@@ -192,13 +199,15 @@ mod tests {
     }
 
     #[test]
+    #[cfg(unix)]
     fn keys_in_the_open_must_not_be_readable_by_all() {
+        use std::fs::{self, Permissions};
         use std::os::unix::fs::PermissionsExt;
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("keys");
         let write = |text: &str, mode: u32| {
             fs::write(&path, text).expect("a file");
-            fs::set_permissions(&path, fs::Permissions::from_mode(mode)).expect("permissions");
+            fs::set_permissions(&path, Permissions::from_mode(mode)).expect("permissions");
             Keys::read(&path)
         };
         assert!(matches!(write(&format!("a {KEY}"), 0o644), Err(KeysError::Readable)));

@@ -15,8 +15,7 @@ use axum::body::Body;
 use axum::extract::{Path, State};
 use axum::http::{HeaderMap, HeaderName, Uri, header};
 use axum::response::{IntoResponse, Response};
-use axum::routing::{get, post};
-use axum::{Extension, Json, Router};
+use axum::{Extension, Json};
 
 use crate::admission::ticket::Ticket;
 use crate::app::App;
@@ -24,6 +23,7 @@ use crate::http::query;
 use crate::http::upload::Upload;
 use crate::http::upsample::{self, UpsampleRequest};
 use crate::problem::Problem;
+use crate::route::{Route, get, post};
 use densecloud::{Options, PARAMETERS, Parameter, Topic};
 use densecloud_cloud::Cloud;
 use densecloud_engine::Client;
@@ -43,19 +43,20 @@ const HEADER_LENGTH: HeaderName = HeaderName::from_static("inference-header-cont
 const JUDGED: usize = 64 << 10;
 
 /// All paths of the protocol.
-pub(super) fn routes() -> Router<Arc<App>> {
-    Router::new()
-        .route("/v2", get(describe::server))
-        .route("/v2/health/live", get(|| async { Json(serde_json::json!({ "live": true })) }))
-        .route("/v2/health/ready", get(ready))
-        .route("/v2/models/{model}", get(describe::model))
-        .route("/v2/models/{model}/config", get(describe::config))
-        .route("/v2/models/{model}/ready", get(model_ready))
-        .route("/v2/models/{model}/infer", post(infer))
-        .route("/v2/models/{model}/versions/{version}", get(describe::model))
-        .route("/v2/models/{model}/versions/{version}/config", get(describe::config))
-        .route("/v2/models/{model}/versions/{version}/ready", get(model_ready))
-        .route("/v2/models/{model}/versions/{version}/infer", post(infer))
+pub(super) fn routes() -> Vec<Route> {
+    vec![
+        get("/v2", describe::server),
+        get("/v2/health/live", || async { Json(serde_json::json!({ "live": true })) }),
+        get("/v2/health/ready", ready),
+        get("/v2/models/{model}", describe::model),
+        get("/v2/models/{model}/config", describe::config),
+        get("/v2/models/{model}/ready", model_ready),
+        post("/v2/models/{model}/infer", infer),
+        get("/v2/models/{model}/versions/{version}", describe::model),
+        get("/v2/models/{model}/versions/{version}/config", describe::config),
+        get("/v2/models/{model}/versions/{version}/ready", model_ready),
+        post("/v2/models/{model}/versions/{version}/infer", infer),
+    ]
 }
 
 /// Whether a path is this protocol's, and so errors there have its form.

@@ -129,6 +129,38 @@ impl Document {
         Ok(document)
     }
 
+    /// One with all that a job can tell of itself.
+    #[cfg(test)]
+    pub(crate) fn with_everything() -> Self {
+        let text = |text: &str| text.to_owned();
+        Self {
+            id: text("ab12"),
+            state: State::Running.name(),
+            over: false,
+            points_in: 1,
+            points_out: 2,
+            progress: Progress { stage: Some("units"), level: 1, levels: 2, fraction: 0.5 },
+            position: Some(0),
+            attempts: 1,
+            created: rfc3339(0),
+            started: Some(rfc3339(0)),
+            finished: Some(rfc3339(0)),
+            expires: Some(rfc3339(Time::MAX)),
+            expected_start: Some(rfc3339(0)),
+            expected_end: Some(rfc3339(0)),
+            result: Some(ResultDocument {
+                url: text("/jobs/ab12/result"),
+                media_type: text("text/plain"),
+                bytes: 1,
+                sha256: text("12"),
+                provenance: text("densecloud"),
+                warnings: vec![text("none")],
+            }),
+            problem: Some(Problem::JobsOff.value("id-1")),
+            request_id: text("id-1"),
+        }
+    }
+
     /// Takes a running job's progress from memory.
     pub(crate) fn advance(&mut self, app: &App, jobs: &Jobs, task: &Task) {
         if let Some(progress) = task.progress() {

@@ -137,7 +137,11 @@ fn sign_of_life() -> Event {
 
 #[cfg(test)]
 mod tests {
+    use densecloud_jobs::{Admitted, Draft, NewJob};
+    use http_body_util::BodyExt;
+
     use super::*;
+    use crate::testing;
 
     #[tokio::test]
     async fn events_are_framed_as_browsers_read_them() {
@@ -146,5 +150,43 @@ mod tests {
         let body = Sse::new(stream).into_response().into_body();
         let text = axum::body::to_bytes(body, 1000).await.expect("a body");
         assert_eq!(text, "event: deleted\ndata: {\"id\":\"ab12\"}\n\n: alive\n\n");
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn watching_asks_the_database_only_when_a_job_has_changed() {
+        let (app, folder) = testing::app();
+        let jobs = Arc::clone(app.jobs().expect("jobs"));
+        let job = NewJob {
+            request: String::new(),
+            key: None,
+            owner: String::new(),
+            client: String::new(),
+            request_id: "id-1".into(),
+            points_in: 1,
+            points_out: 4,
+            result_bytes: 1,
+            input: b"1 2 3\n".to_vec(),
+        };
+        let draft = Draft::new(job);
+        let Admitted::New(id) = jobs.store().admit(&draft).expect("room") else { panic!("no key") };
+        let input = jobs.store().write_input(&id, &draft).expect("room");
+        jobs.insert(&draft, input).expect("room");
+        let answer = events(Shared(Arc::clone(&app)), Extension(Client::new("")), Name(id.clone())).await;
+        let mut body = answer.expect("its events").into_body();
+        let mut next = async || {
+            let frame = body.frame().await.expect("an event").expect("no fault");
+            String::from_utf8(frame.into_data().expect("bytes").to_vec()).expect("text")
+        };
+        let first = next().await;
+        assert!(first.starts_with("event: progress\n") && first.contains("\"attempts\":0"), "{first}");
+        // What only the database knows, behind the server's back.
+        let database = rusqlite::Connection::open(folder.path().join("jobs.sqlite")).expect("a database");
+        database.execute("UPDATE jobs SET attempts = 7", []).expect("no lock");
+        for _ in 0..3 {
+            assert_eq!(next().await, ": alive\n\n");
+        }
+        jobs.delete(&id).expect("no fault");
+        let last = next().await;
+        assert!(last.starts_with("event: cancelled\n") && last.contains("\"attempts\":7"), "{last}");
     }
 }

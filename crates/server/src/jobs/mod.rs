@@ -1,6 +1,6 @@
 //! `/jobs`: clouds that are made dense while nobody waits.
 
-mod document;
+pub(crate) mod document;
 pub(crate) mod events;
 pub(crate) mod result;
 pub(crate) mod work;
@@ -229,7 +229,8 @@ fn new_job(app: &App, received: Received, options: Options) -> Result<(NewJob, H
 /// The longest key that is taken.
 const LONGEST: usize = 255;
 
-fn idempotency_key(headers: &HeaderMap) -> Result<Option<String>, Problem> {
+/// The key that a request gives itself.
+pub(crate) fn idempotency_key(headers: &HeaderMap) -> Result<Option<String>, Problem> {
     let Some(key) = headers.get("idempotency-key") else { return Ok(None) };
     match key.to_str() {
         Ok(text) if (1..=LONGEST).contains(&text.len()) => Ok(Some(text.to_owned())),
@@ -330,7 +331,8 @@ pub(crate) async fn list(
     Ok(Json(page.await?))
 }
 
-fn page_of(uri: &Uri) -> Result<(Option<i64>, u32), Problem> {
+/// What a request for a page says: from which number downwards, and how many.
+pub(crate) fn page_of(uri: &Uri) -> Result<(Option<i64>, u32), Problem> {
     let (mut before, mut limit) = (None, PAGE);
     let pairs = query::pairs(uri)?;
     for (i, (name, value)) in pairs.iter().enumerate() {
@@ -356,18 +358,11 @@ fn page_of(uri: &Uri) -> Result<(Option<i64>, u32), Problem> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Config;
-    use densecloud_cascade::Fake;
-    use densecloud_engine::{Engine, EngineConfig};
-    use densecloud_jobs::Settings;
+    use crate::testing;
 
-    #[tokio::test]
+    #[tokio::test(start_paused = true)]
     async fn clouds_that_are_written_and_questions_to_the_store_do_not_wait_for_each_other() {
-        let folder = tempfile::tempdir().expect("a folder");
-        let engine = Engine::with_backend(Arc::new(Fake::new()), EngineConfig::default()).expect("an engine");
-        let jobs = Arc::new(Jobs::open(Settings::new(folder.path().to_owned())).expect("a store"));
-        let app = Arc::new(App::new(engine, Config::default(), Some(jobs)).expect("an app"));
-        app.readiness.ready();
+        let (app, _folder) = testing::app();
         let writing = app.writing.acquire_many(WRITING as u32).await.expect("turns");
         assert!(ask(&app, |jobs| Ok(jobs.store().used()?)).await.is_ok());
         drop(writing);
