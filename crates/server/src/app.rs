@@ -131,7 +131,7 @@ async fn readyz(State(app): State<Arc<App>>) -> Result<&'static str, Problem> {
 }
 
 async fn metrics(State(app): State<Arc<App>>) -> impl IntoResponse {
-    // Figures that cannot be had, or not soon, are last time's; the log will be full of the reason.
+    // Where the store does not answer soon, the figures stay those of the last time; the log has the reason.
     if let Ok(Ok(counts)) = timeout(COUNTS, jobs::ask(&app, |jobs| Ok(jobs.store().counts()?))).await {
         app.metrics.jobs(&counts);
     }

@@ -26,8 +26,8 @@ pub struct Access {
     pub open_metrics: bool,
     /// Whether `/openapi.json` and `/docs` need none (`--open docs`).
     pub open_docs: bool,
-    /// Whether the last hop that `X-Forwarded-For` names is the client's address (`--trust-forwarded`): only
-    /// behind a proxy that sets it, since clients can send it, too.
+    /// Whether the last hop named by `X-Forwarded-For` is the client's address (`--trust-forwarded`). Only for use
+    /// behind a proxy that sets the header: a client can send it, too.
     pub trust_forwarded: bool,
 }
 

@@ -14,16 +14,16 @@ use densecloud_engine::{Client, Fair};
 const LEAST: usize = 2;
 
 /// Who parses, and who waits for it.
-pub(crate) struct Parsing(Mutex<State>);
+pub(crate) struct Parsing(Mutex<Turns>);
 
-struct State {
+struct Turns {
     free: usize,
-    waiting: Fair<oneshot::Sender<Turn>>,
+    waiting: Fair<oneshot::Sender<ParsingTurn>>,
 }
 
 /// A turn, until dropped.
 #[must_use = "dropping a turn gives it to the next"]
-pub(crate) struct Turn(Option<Arc<Parsing>>);
+pub(crate) struct ParsingTurn(Option<Arc<Parsing>>);
 
 impl Parsing {
     pub(crate) fn new() -> Self {
@@ -32,23 +32,23 @@ impl Parsing {
 
     /// So many at a time.
     fn of(free: usize) -> Self {
-        Self(Mutex::new(State { free, waiting: Fair::default() }))
+        Self(Mutex::new(Turns { free, waiting: Fair::default() }))
     }
 
     /// Waits for a client's turn at parsing so many bytes; whoever stops waiting loses nothing but that.
-    pub(crate) async fn turn(self: &Arc<Self>, client: &Client, bytes: u64) -> Turn {
+    pub(crate) async fn turn(self: &Arc<Self>, client: &Client, bytes: u64) -> ParsingTurn {
         let turn = {
             let mut state = self.state();
             if state.free > 0 {
                 state.free -= 1;
-                return Turn(Some(Arc::clone(self)));
+                return ParsingTurn(Some(Arc::clone(self)));
             }
             let (sender, turn) = oneshot::channel();
             state.waiting.push(client, sender, bytes);
             turn
         };
         // Cannot fail: the sender is kept until it has sent.
-        turn.await.unwrap_or(Turn(None))
+        turn.await.unwrap_or(ParsingTurn(None))
     }
 
     fn give_back(self: &Arc<Self>) {
@@ -59,7 +59,7 @@ impl Parsing {
                 return;
             };
             drop(state);
-            match next.send(Turn(Some(Arc::clone(self)))) {
+            match next.send(ParsingTurn(Some(Arc::clone(self)))) {
                 Ok(()) => return,
                 // Nobody waits for it any more. Not dropped as it is, which would come back here.
                 Err(mut turn) => turn.0 = None,
@@ -68,12 +68,12 @@ impl Parsing {
     }
 
     /// Nothing panics while it is held.
-    fn state(&self) -> MutexGuard<'_, State> {
+    fn state(&self) -> MutexGuard<'_, Turns> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-impl Drop for Turn {
+impl Drop for ParsingTurn {
     fn drop(&mut self) {
         if let Some(parsing) = self.0.take() {
             parsing.give_back();

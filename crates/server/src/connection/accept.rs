@@ -37,7 +37,7 @@ pub(crate) struct Connection {
 const BUFFER: usize = 64 << 10;
 /// Requests at a time on one HTTP/2 connection.
 const STREAMS: u32 = 32;
-/// Between two questions whether an HTTP/2 client is still there, and for the answer.
+/// Time between two pings of an HTTP/2 client, and the longest wait for its answer.
 const PING: Duration = Duration::from_secs(20);
 /// After a failed accept: mostly no file descriptor is left, and trying at once would spin.
 const PAUSE: Duration = Duration::from_millis(100);
@@ -86,19 +86,19 @@ pub(crate) async fn accept(
     }
 }
 
-/// Connections that are open, by address: no client takes all that there are places for, by what needs no key, such as
-/// a watch of the server's health.
+/// Open connections by address. Each address has a limit, so that no client takes all places with requests that need
+/// no key, such as watches of the server's health.
 #[derive(Default)]
 struct Addresses(Mutex<HashMap<String, usize>>);
 
 /// One of an address's connections, until dropped.
-struct Place {
+struct AddressPermit {
     addresses: Arc<Addresses>,
     address: String,
 }
 
 impl Addresses {
-    fn place(self: &Arc<Self>, peer: &SocketAddr, most: usize) -> Option<Place> {
+    fn place(self: &Arc<Self>, peer: &SocketAddr, most: usize) -> Option<AddressPermit> {
         let address = network(Some(peer.ip()));
         let mut open = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         let count = open.get(&address).copied().unwrap_or(0);
@@ -106,11 +106,11 @@ impl Addresses {
             return None;
         }
         open.insert(address.clone(), count + 1);
-        Some(Place { addresses: Arc::clone(self), address })
+        Some(AddressPermit { addresses: Arc::clone(self), address })
     }
 }
 
-impl Drop for Place {
+impl Drop for AddressPermit {
     fn drop(&mut self) {
         let mut open = self.addresses.0.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(count) = open.get_mut(&self.address) {

@@ -14,10 +14,10 @@ use crate::config::Timeouts;
 /// A watch channel, because the connection's task must wake when anything changes and needs only
 /// the latest state.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Activity(Arc<watch::Sender<State>>);
+pub(crate) struct Activity(Arc<watch::Sender<Requests>>);
 
 #[derive(Debug, Default)]
-struct State {
+struct Requests {
     /// Requests whose response is not over, by number.
     in_flight: BTreeMap<u64, InFlight>,
     next: u64,
@@ -57,8 +57,8 @@ impl Activity {
     }
 
     /// Resolves when the connection should be closed: no request for [`Timeouts::head`], or no
-    /// progress for [`Timeouts::stall`] in sending whatever it is busy with. Where other requests are in flight, a
-    /// response that makes none ends alone: neither do they keep it alive, nor does it end them.
+    /// progress for [`Timeouts::stall`] in sending whatever it is busy with. A response without progress beside other
+    /// requests in flight ends alone: they do not keep it alive, and it does not end them.
     ///
     /// hyper's own header timer starts only once it knows the protocol, so it never fires for a
     /// connection that sends nothing, or half of HTTP/2's preface; and it has none for a stalled
@@ -86,7 +86,8 @@ impl Activity {
         }
     }
 
-    /// Ends the responses that have stalled; true, and none is ended, where there are no others.
+    /// Ends the stalled responses. Where all requests have stalled it ends none and returns true: then the connection
+    /// is over.
     fn end_stalled(&self, limit: Duration) -> bool {
         let state = self.0.borrow();
         let stalled = |request: &&InFlight| request.taken.is_some_and(|taken| taken.elapsed() >= limit);
@@ -102,7 +103,7 @@ impl Activity {
     }
 }
 
-impl State {
+impl Requests {
     /// When the response that has waited longest for its reader last moved.
     fn oldest(&self) -> Option<Instant> {
         self.in_flight.values().filter_map(|request| request.taken).min()

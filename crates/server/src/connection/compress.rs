@@ -35,7 +35,7 @@ pub(crate) enum Compression {
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct AsIs;
 
-/// Both about as quick as a fast network: the processors are there for the cascade.
+/// At this level both compress about as fast as a fast network sends; the processors are for the cascade.
 const LEVEL: u32 = 3;
 /// zstd's window, as a power of two: clouds repeat themselves within a few points or not at all.
 const ZSTD_WINDOW: u32 = 20;
@@ -45,8 +45,8 @@ const MEMORY: u64 = 4 << 20;
 const SHORTEST: u64 = 1024;
 
 impl Compression {
-    /// What these headers like best: the highest quality, of equal ones zstd, and nothing where identity is
-    /// liked better. `*` asks for nothing in particular, so it gets identity.
+    /// The coding of the highest weight: zstd before gzip where they are equal, none where identity has a higher one.
+    /// `*` names no coding and counts as none.
     pub(crate) fn preferred(headers: &HeaderMap) -> Option<Self> {
         let (mut best, mut identity) = (None, 0.0);
         for (name, quality) in weighted(&joined(headers, header::ACCEPT_ENCODING)) {
@@ -110,7 +110,7 @@ pub(crate) async fn compress(State(app): State<Arc<App>>, request: Request, next
         return response;
     }
     let Some(compression) = preferred else { return response };
-    // What is short of memory is sent as it is.
+    // Without memory for a compressor, the answer is sent as it is.
     let Some(held) = app.budget.hold(MEMORY) else { return response };
     let Ok(encoder) = Encoder::new(compression) else { return response };
     let headers = response.headers_mut();

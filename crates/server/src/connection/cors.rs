@@ -48,8 +48,8 @@ const MAX_AGE: Duration = Duration::from_secs(3600);
 
 /// What answers browsers on behalf of every path; nothing where no origin is allowed.
 ///
-/// It has to lie outside whatever refuses requests: a browser asks first, without the request's own
-/// headers, and a refusal that a page may not read helps nobody.
+/// The layer lies outside all that refuse requests: a browser asks first, without the request's own headers, and a
+/// page cannot read a refusal that lacks the headers of CORS.
 pub(crate) fn layer(origins: &[CorsOrigin]) -> Option<CorsLayer> {
     let sites: Vec<_> = origins
         .iter()
@@ -86,7 +86,8 @@ pub(crate) async fn keep_out(State(app): State<Arc<App>>, request: Request, next
     next.run(request).await
 }
 
-/// Whether a browser says that a page sent this which is neither the server's own nor allowed. Programs say neither.
+/// Whether the browser's headers tell that a page sent this which is neither the server's own nor allowed. Other
+/// programs send neither header.
 fn is_foreign(headers: &HeaderMap, host: Option<&str>, allowed: &[CorsOrigin]) -> bool {
     let text = |name| headers.get(name).and_then(|value| value.to_str().ok());
     let origin = headers.get(header::ORIGIN);

@@ -1,5 +1,4 @@
-//! Undoing a body's `Content-Encoding` while it arrives, so that what is counted and limited is what it
-//! holds, not what was sent.
+//! Decodes a body's `Content-Encoding` while it arrives. Limits and memory count decoded bytes, not sent ones.
 
 use std::io::{self, Write};
 
@@ -64,9 +63,9 @@ pub(crate) enum Decoder {
     },
 }
 
-/// Why a body is taken no further.
+/// Why decoding ends early.
 #[derive(Debug, PartialEq, Eq)]
-pub(crate) enum Refusal {
+pub(crate) enum DecodeError {
     /// More bytes than one body may have.
     TooLarge,
     /// No memory left for it.
@@ -79,15 +78,15 @@ impl Decoder {
     /// For a body of this coding, of at most `limit` bytes when decoded, all of which `held` counts.
     ///
     /// # Errors
-    /// [`Refusal::NoRoom`] for the decoder itself.
-    pub(crate) fn new(coding: Coding, held: Held, limit: u64) -> Result<Self, Refusal> {
+    /// [`DecodeError::NoRoom`] for the decoder itself.
+    pub(crate) fn new(coding: Coding, held: Held, limit: u64) -> Result<Self, DecodeError> {
         let sink = Sink { bytes: Vec::new(), held, limit, refusal: None };
         Ok(match coding {
             Coding::Identity => Self::Identity(sink),
             Coding::Gzip => Self::Gzip(Box::new(MultiGzDecoder::new(sink))),
             Coding::Deflate => Self::Deflate(Box::new(ZlibDecoder::new(sink))),
             Coding::Zstd => {
-                let own = sink.held.beside(ZSTD_MEMORY).ok_or(Refusal::NoRoom)?;
+                let own = sink.held.beside(ZSTD_MEMORY).ok_or(DecodeError::NoRoom)?;
                 let mut decoder = raw::Decoder::new().map_err(broken)?;
                 decoder.set_parameter(DParameter::WindowLogMax(ZSTD_WINDOW)).map_err(broken)?;
                 Self::Zstd { decoder: Box::new(zio::Writer::new(sink, decoder)), _own: own }
@@ -104,20 +103,20 @@ impl Decoder {
     /// thread.
     ///
     /// # Errors
-    /// [`Refusal`], as soon as the limit is passed.
-    pub(crate) async fn add(mut self, piece: Bytes) -> Result<Self, Refusal> {
+    /// [`DecodeError`], as soon as the limit is passed.
+    pub(crate) async fn add(mut self, piece: Bytes) -> Result<Self, DecodeError> {
         if let Self::Identity(_) = self {
             return self.write(&piece).map(|()| self);
         }
         let written = spawn_blocking(move || self.write(&piece).map(|()| self));
-        written.await.unwrap_or_else(|error| Err(Refusal::Broken(error.to_string())))
+        written.await.unwrap_or_else(|error| Err(DecodeError::Broken(error.to_string())))
     }
 
     /// The whole body, and its share of the memory.
     ///
     /// # Errors
-    /// [`Refusal::Broken`] where its end is missing or its checksum is wrong.
-    pub(crate) fn finish(self) -> Result<(Vec<u8>, Held), Refusal> {
+    /// [`DecodeError::Broken`] where its end is missing or its checksum is wrong.
+    pub(crate) fn finish(self) -> Result<(Vec<u8>, Held), DecodeError> {
         let sink = match self {
             Self::Identity(sink) => sink,
             Self::Gzip(decoder) => decoder.finish().map_err(broken)?,
@@ -133,7 +132,7 @@ impl Decoder {
         }
     }
 
-    fn write(&mut self, piece: &[u8]) -> Result<(), Refusal> {
+    fn write(&mut self, piece: &[u8]) -> Result<(), DecodeError> {
         let written = match self {
             Self::Identity(sink) => sink.write_all(piece),
             // Flushed, so that a file's header is seen as soon as it is there.
@@ -143,7 +142,7 @@ impl Decoder {
         };
         written.map_err(|error| {
             let refusal = self.sink_mut().refusal.take();
-            refusal.unwrap_or_else(|| Refusal::Broken(error.to_string()))
+            refusal.unwrap_or_else(|| DecodeError::Broken(error.to_string()))
         })
     }
 
@@ -167,25 +166,25 @@ impl Decoder {
 }
 
 #[allow(clippy::needless_pass_by_value, reason = "for map_err")]
-fn broken(error: io::Error) -> Refusal {
-    Refusal::Broken(error.to_string())
+fn broken(error: io::Error) -> DecodeError {
+    DecodeError::Broken(error.to_string())
 }
 
-/// Where decoded bytes go: it refuses the first that is too many, so that a decoder stops there.
+/// Collects decoded bytes. It refuses the first byte above the limit, so that the decoder stops there.
 #[derive(Debug)]
 pub(crate) struct Sink {
     bytes: Vec<u8>,
     held: Held,
     limit: u64,
-    refusal: Option<Refusal>,
+    refusal: Option<DecodeError>,
 }
 
 impl Write for Sink {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         if (self.bytes.len() + bytes.len()) as u64 > self.limit {
-            self.refusal = Some(Refusal::TooLarge);
+            self.refusal = Some(DecodeError::TooLarge);
         } else if !self.held.grow(bytes.len() as u64) || self.bytes.try_reserve(bytes.len()).is_err() {
-            self.refusal = Some(Refusal::NoRoom);
+            self.refusal = Some(DecodeError::NoRoom);
         }
         if self.refusal.is_some() {
             return Err(io::Error::other("no room"));
@@ -222,7 +221,7 @@ mod tests {
     }
 
     /// What comes of these bytes in pieces of `piece`.
-    fn decode(coding: Coding, bytes: &[u8], piece: usize, limit: u64) -> Result<Vec<u8>, Refusal> {
+    fn decode(coding: Coding, bytes: &[u8], piece: usize, limit: u64) -> Result<Vec<u8>, DecodeError> {
         let held = Budget::new(ROOM).hold(0).expect("room");
         let mut decoder = Decoder::new(coding, held, limit)?;
         for piece in bytes.chunks(piece) {
@@ -257,9 +256,9 @@ mod tests {
     fn a_bomb_is_refused_at_the_limit() {
         for coding in CODINGS {
             let bomb = encode(coding, &vec![b' '; 600_000]);
-            assert_eq!(decode(coding, &bomb, 1 << 20, 500_000), Err(Refusal::TooLarge), "{coding:?}");
+            assert_eq!(decode(coding, &bomb, 1 << 20, 500_000), Err(DecodeError::TooLarge), "{coding:?}");
             let bomb = encode(coding, &vec![b' '; 2 * ROOM as usize]);
-            assert_eq!(decode(coding, &bomb, 1 << 20, u64::MAX), Err(Refusal::NoRoom), "{coding:?}");
+            assert_eq!(decode(coding, &bomb, 1 << 20, u64::MAX), Err(DecodeError::NoRoom), "{coding:?}");
         }
     }
 
@@ -274,10 +273,10 @@ mod tests {
         };
         assert_eq!(decode(Coding::Zstd, &with_window(ZSTD_WINDOW), 64, 1 << 20), Ok(text.clone()));
         let refused = decode(Coding::Zstd, &with_window(27), 64, 1 << 20);
-        assert!(matches!(&refused, Err(Refusal::Broken(why)) if why.contains("memory")), "{refused:?}");
+        assert!(matches!(&refused, Err(DecodeError::Broken(why)) if why.contains("memory")), "{refused:?}");
         // And the one that is allowed is counted before it is taken.
         let held = Budget::new(ZSTD_MEMORY - 1).hold(0).expect("room");
-        assert!(matches!(Decoder::new(Coding::Zstd, held, 100), Err(Refusal::NoRoom)));
+        assert!(matches!(Decoder::new(Coding::Zstd, held, 100), Err(DecodeError::NoRoom)));
     }
 
     #[test]
@@ -286,7 +285,7 @@ mod tests {
             let whole = encode(coding, &b"1 2 3\n4 5 6\n".repeat(50));
             for end in 1..whole.len() {
                 let found = decode(coding, &whole[..end], 8, 1000);
-                assert!(matches!(found, Err(Refusal::Broken(_))), "{coding:?} {end}: {found:?}");
+                assert!(matches!(found, Err(DecodeError::Broken(_))), "{coding:?} {end}: {found:?}");
             }
             // zstd's checksum is optional, and absent here.
             if coding != Coding::Zstd {

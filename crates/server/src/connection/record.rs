@@ -28,17 +28,17 @@ pub(crate) struct Points {
     pub(crate) made: u64,
 }
 
-/// On a response: it begins before the work is done, so that only its handler knows when the client is
-/// waited for, and says it by [`Ongoing`].
+/// Marks a response that begins before its work is done. Only the handler knows when the client is waited for, and
+/// tells it through [`Ongoing`].
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Early;
 
 /// What a handler tells of its request after its response has begun: in gRPC the outcome comes last.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Ongoing(Arc<Mutex<Told>>);
+pub(crate) struct Ongoing(Arc<Mutex<HandlerReport>>);
 
 #[derive(Debug, Default)]
-struct Told {
+struct HandlerReport {
     busy: Option<Busy>,
     points: Option<Points>,
     /// Its outcome and its words.
@@ -46,7 +46,7 @@ struct Told {
 }
 
 impl Ongoing {
-    fn told(&self) -> MutexGuard<'_, Told> {
+    fn told(&self) -> MutexGuard<'_, HandlerReport> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -167,7 +167,7 @@ impl Record {
 
 impl Drop for Record {
     fn drop(&mut self) {
-        let Told { busy, points, problem } = std::mem::take(&mut *self.ongoing.told());
+        let HandlerReport { busy, points, problem } = std::mem::take(&mut *self.ongoing.told());
         drop(busy);
         if self.probe {
             return;
@@ -187,8 +187,8 @@ impl Drop for Record {
     }
 }
 
-/// A response's body that carries its request's record. What it holds can be taken from it: hyper asks a body for
-/// nothing, and so would never drop it, while its reader takes nothing.
+/// A response's body with its request's record. The content can be taken away from outside: while a reader takes
+/// nothing, hyper does not poll the body and would never drop it.
 struct Recorded(Arc<Mutex<Option<Sending>>>);
 
 struct Sending {
@@ -219,7 +219,7 @@ impl Recorded {
     }
 }
 
-/// Takes from a response what it holds; its reader is told when it comes back.
+/// Takes the content of a stalled response, and so gives back its memory. The reader gets an error at the next poll.
 fn end(slot: &Weak<Mutex<Option<Sending>>>) {
     let Some(slot) = slot.upgrade() else { return };
     let taken = slot.lock().unwrap_or_else(PoisonError::into_inner).take();

@@ -25,14 +25,14 @@ pub(crate) struct Dense {
     pub(crate) origin: Origin,
 }
 
-/// Memory that a result takes until it is sent: of so many points, with so many bytes of attributes each.
+/// Memory of a result until it is sent. `attribute_bytes`: those of one point.
 pub(crate) fn result_bytes(points: u64, attribute_bytes: u64, format: Format) -> u64 {
     let a_point = size_of::<Position>() as u64 + attribute_bytes;
     // What is not streamed is there as points and as the file, and in between as what is compressed.
     points.saturating_mul(if format.is_streamed() { a_point } else { 3 * a_point + 16 })
 }
 
-/// Bytes that a result's file will have, about, and mostly less: as [`result_bytes`] counts points.
+/// About the bytes of a result's file, mostly more than it will have. The arguments are those of [`result_bytes`].
 pub(crate) fn file_bytes(points: u64, attribute_bytes: u64, format: Format) -> u64 {
     format.file_bytes(points, attribute_bytes)
 }

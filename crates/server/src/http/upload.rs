@@ -9,7 +9,7 @@ use tokio::time::timeout;
 
 use crate::admission::budget::Held;
 use crate::app::App;
-use crate::connection::decode::{Coding, Decoder, Refusal};
+use crate::connection::decode::{Coding, DecodeError, Decoder};
 use crate::problem::Problem;
 use densecloud_cloud::Cloud;
 use densecloud_formats::{CloudReader, Format, FormatError, Limits};
@@ -177,7 +177,7 @@ impl<'a> Arrival<'a> {
         // Compressed, endlessly much may stand for nothing.
         sent += piece.len() as u64;
         if sent > app.config.limits.body_bytes {
-            return Err(refused(app, Refusal::TooLarge));
+            return Err(refused(app, DecodeError::TooLarge));
         }
         let before = decoder.bytes().len();
         let decoder = decoder.add(piece).await.map_err(|refusal| refused(app, refusal))?;
@@ -191,11 +191,11 @@ impl<'a> Arrival<'a> {
     }
 }
 
-fn refused(app: &App, refusal: Refusal) -> Problem {
+fn refused(app: &App, refusal: DecodeError) -> Problem {
     match refusal {
-        Refusal::TooLarge => Problem::BodyTooLarge { limit: app.config.limits.body_bytes },
-        Refusal::NoRoom => app.held_full(),
-        Refusal::Broken(why) => Problem::Interrupted(why),
+        DecodeError::TooLarge => Problem::BodyTooLarge { limit: app.config.limits.body_bytes },
+        DecodeError::NoRoom => app.held_full(),
+        DecodeError::Broken(why) => Problem::Interrupted(why),
     }
 }
 
@@ -246,10 +246,11 @@ fn header_is_there(bytes: &[u8], new: usize) -> bool {
     bytes[from..].windows(END.len() + 1).any(|w| w.starts_with(END) && w[END.len()].is_ascii_whitespace())
 }
 
-/// Refuses from the first bytes of a file what could only be refused later.
+/// Checks a file's header in its first bytes, so that a cloud that is too large is refused before the rest of it
+/// arrives.
 pub(crate) struct HeaderCheck<'a, F> {
     app: &'a App,
-    /// Hears the points in.
+    /// Is told the points in.
     known: F,
     done: bool,
 }

@@ -109,7 +109,7 @@ impl Document {
                 .as_ref()
                 .map(|result| ResultDocument::of(&record.id, result))
                 .transpose()?,
-            problem: record.failure.as_ref().map(|failure| told(failure, &record.request_id)),
+            problem: record.failure.as_ref().map(|failure| failed_as(failure, &record.request_id)),
             request_id: record.request_id.clone(),
             progress,
         };
@@ -224,7 +224,7 @@ pub(crate) fn about(result: &ResultFile) -> Result<About, Problem> {
 }
 
 /// A failure as the problem that `POST /upsample` would have answered with, or one of jobs alone.
-fn told(failure: &Failure, request_id: &str) -> Value {
+fn failed_as(failure: &Failure, request_id: &str) -> Value {
     let problem = match failure {
         Failure::Refused(problem) => match serde_json::from_str(problem) {
             Ok(problem) => return problem,

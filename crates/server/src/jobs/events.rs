@@ -15,7 +15,7 @@ use tokio::time::{Instant, sleep};
 
 use crate::app::App;
 use crate::jobs::document::{Document, Progress};
-use crate::jobs::{Name, ask, seen};
+use crate::jobs::{JobId, ask, seen};
 use crate::problem::Problem;
 use densecloud_engine::Client;
 use densecloud_jobs::{Jobs, State, Task};
@@ -31,7 +31,7 @@ const ALIVE: Duration = Duration::from_secs(10);
 pub(crate) async fn events(
     Shared(app): Shared<Arc<App>>,
     Extension(client): Extension<Client>,
-    Name(id): Name,
+    JobId(id): JobId,
 ) -> Result<Response, Problem> {
     let jobs = Arc::clone(app.jobs()?);
     let changes = jobs.changes();
@@ -171,7 +171,7 @@ mod tests {
         let Admitted::New(id) = jobs.store().admit(&draft).expect("room") else { panic!("no key") };
         let input = jobs.store().write_input(&id, &draft).expect("room");
         jobs.insert(&draft, input).expect("room");
-        let answer = events(Shared(Arc::clone(&app)), Extension(Client::new("")), Name(id.clone())).await;
+        let answer = events(Shared(Arc::clone(&app)), Extension(Client::new("")), JobId(id.clone())).await;
         let mut body = answer.expect("its events").into_body();
         let mut next = async || {
             let frame = body.frame().await.expect("an event").expect("no fault");

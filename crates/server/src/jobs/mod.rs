@@ -39,8 +39,8 @@ impl App {
     }
 }
 
-/// Questions to the store at a time: should the database be locked, those that wait for it must leave threads for
-/// the requests that need none of it.
+/// Questions to the store at a time. Where another program locks the database, the questions that wait leave threads
+/// for requests that do not need it.
 pub(crate) const ASKING: usize = 4;
 /// How long a question waits for its turn.
 const TURN: Duration = Duration::from_secs(5);
@@ -57,7 +57,7 @@ pub(crate) async fn ask<T: Send + 'static>(
     let turn = timeout(TURN, Arc::clone(&app.asking).acquire_owned()).await;
     let turn = turn.map_err(|_| Problem::JobsBusy("the jobs' database is busy with other requests"))?;
     let asked = spawn_blocking(move || {
-        // Until the answer is there, also where nobody waits for it any more.
+        // Held until the answer is there, even if nobody waits for it any more.
         let _turn = turn;
         question(&jobs)
     });
@@ -242,9 +242,9 @@ pub(crate) fn idempotency_key(headers: &HeaderMap) -> Result<Option<String>, Pro
 }
 
 /// A job's name in a path; what is no text names none.
-pub(crate) struct Name(pub(crate) String);
+pub(crate) struct JobId(pub(crate) String);
 
-impl<S: Send + Sync> FromRequestParts<S> for Name {
+impl<S: Send + Sync> FromRequestParts<S> for JobId {
     type Rejection = Problem;
 
     async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, Problem> {
@@ -259,7 +259,7 @@ impl<S: Send + Sync> FromRequestParts<S> for Name {
 pub(crate) async fn get(
     State(app): State<Arc<App>>,
     Extension(client): Extension<Client>,
-    Name(id): Name,
+    JobId(id): JobId,
 ) -> Result<Json<Document>, Problem> {
     Ok(Json(Document::ask(&app, &client, id).await?))
 }
@@ -282,7 +282,7 @@ pub(crate) fn seen(app: &App, jobs: &Jobs, client: &Client, id: &str) -> Result<
 pub(crate) async fn delete(
     State(app): State<Arc<App>>,
     Extension(client): Extension<Client>,
-    Name(id): Name,
+    JobId(id): JobId,
 ) -> Result<Response, Problem> {
     let (shared, name, of) = (Arc::clone(&app), id.clone(), client.clone());
     let deleted = ask(&app, move |jobs| {

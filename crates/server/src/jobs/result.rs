@@ -16,7 +16,7 @@ use crate::app::App;
 use crate::connection::compress::{AsIs, Compression};
 use crate::connection::fields::{has_tag, joined, part};
 use crate::jobs::document::about;
-use crate::jobs::{Name, ask, is_seen};
+use crate::jobs::{JobId, ask, is_seen};
 use crate::problem::Problem;
 use densecloud_engine::Client;
 use densecloud_jobs::BlobReader;
@@ -30,7 +30,7 @@ const PIECES: u64 = 2;
 pub(crate) async fn result(
     State(app): State<Arc<App>>,
     Extension(client): Extension<Client>,
-    Name(id): Name,
+    JobId(id): JobId,
     method: Method,
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
