@@ -1,6 +1,7 @@
 //! `densecloud serve` as a process, with the model inside it and clients from elsewhere.
 
 mod command;
+mod doors;
 mod faults;
 mod hostile;
 mod kills;

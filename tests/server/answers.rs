@@ -69,8 +69,13 @@ fn las_and_pcd_are_answered_as_such() {
         let dense = outcome(cloud, Target::Ratio(4.0), 0);
         let mut origin = origin;
         origin.comments.push(reply.header("densecloud-provenance").expect("provenance").to_owned());
-        let expected =
-            densecloud_formats::encode(Vec::new(), format, &dense.positions, &dense.attributes, &origin);
+        let expected = densecloud_formats::encode(
+            Vec::new(),
+            format,
+            &dense.made.positions,
+            &dense.made.attributes,
+            &origin,
+        );
         assert!(reply.body == expected.expect("a file"), "{format:?}");
         let back = CloudReader::open(&reply.body[..], Limits::default()).expect("a header");
         assert!(back.header().format.is_like(format));

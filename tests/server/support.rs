@@ -397,7 +397,7 @@ pub(crate) fn encode_result(positions: &[Position], format: Format, reply: &Repl
 
 /// What the library gives, without a server.
 pub(crate) fn dense(positions: Vec<Position>, target: Target, seed: u64) -> Vec<Position> {
-    outcome(positions.into(), target, seed).positions
+    outcome(positions.into(), target, seed).made.positions
 }
 
 /// As [`dense`], with all that there is about the positions.

@@ -114,6 +114,8 @@ pub struct Upsampled {
     pub duplicates: usize,
     /// Points that lie apart from all others, kept as they are.
     pub apart: usize,
+    /// How many levels there were.
+    pub levels: usize,
 }
 
 /// Why a cloud cannot be upsampled.
@@ -255,6 +257,7 @@ fn cascade(
         dropped_non_finite: non_finite,
         duplicates,
         apart: apart.len(),
+        levels,
     })
 }
 

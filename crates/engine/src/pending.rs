@@ -16,10 +16,8 @@ use super::progress::{Progress, StageTimes, Watch};
 use super::queue::{Permit, Queue, Turn};
 use super::workers::{Lane, Workers};
 use super::{EngineError, Inner};
-use densecloud::Request;
-use densecloud::attributes;
-use densecloud_cascade::{CascadeError, LevelRunner, Observer, Stage, Upsampled};
-use densecloud_cloud::{Attribute, Position};
+use densecloud::{Made, Request};
+use densecloud_cascade::CascadeError;
 
 /// A request that was admitted. Await it, or [`Pending::wait`] for it; drop it to stop the work within
 /// one batch of patches.
@@ -34,46 +32,14 @@ pub struct Pending {
 /// A finished request.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Outcome {
-    /// The dense cloud.
-    pub positions: Vec<Position>,
-    /// The attributes of each point.
-    pub attributes: Vec<Attribute>,
-    /// Points left out because a coordinate was NaN or infinite.
-    pub dropped_non_finite: usize,
-    /// Points that coincided with an earlier one.
-    pub duplicates: usize,
-    /// Points that lie apart from all others, kept as they are.
-    pub apart: usize,
+    /// The dense cloud, and what was done to the input.
+    pub made: Made,
     /// How long each stage took, over all levels.
     pub stages: StageTimes,
     /// How long the engine expected it to take alone on the machine, when it was admitted.
     pub estimate: Duration,
     /// How long it took, less the time that others had.
     pub took: Duration,
-}
-
-impl Outcome {
-    /// What a person should know about how the input was treated, a sentence each.
-    #[must_use]
-    pub fn warnings(&self) -> Vec<String> {
-        let mut warnings = Vec::new();
-        if self.dropped_non_finite > 0 {
-            warnings.push(format!("{} points left out: NaN or infinite", self.dropped_non_finite));
-        }
-        if self.duplicates > 0 {
-            warnings.push(format!(
-                "{} points coincide with another; they count towards the size alone",
-                self.duplicates
-            ));
-        }
-        if self.apart > 0 {
-            warnings.push(format!(
-                "{} points lie apart from all others (outliers?); they are kept as they are, and nothing is made of them",
-                self.apart
-            ));
-        }
-        warnings
-    }
 }
 
 /// What the queue, its threads and the caller share.
@@ -231,22 +197,13 @@ fn run(queue: &Queue, workers: &Workers, task: &Task, work: Work, turn: Turn<'_>
     let _ = task.started.set(task.clock.now());
     // A panic is a bug in one request; it must not take the thread, and the service, with it.
     let done = std::panic::catch_unwind(AssertUnwindSafe(|| {
-        workers.install(task.cost.lane(), || compute(&request, workers.runner(), &task.watch))
+        workers.install(task.cost.lane(), || request.run(workers.runner(), &task.watch))
     }));
     let outcome = match done {
-        Ok(Ok((dense, attributes))) => {
+        Ok(Ok(made)) => {
             let took = turn.took();
             queue.learn(task.cost, took);
-            Ok(Outcome {
-                positions: dense.positions,
-                attributes,
-                dropped_non_finite: dense.dropped_non_finite,
-                duplicates: dense.duplicates,
-                apart: dense.apart,
-                stages: task.watch.finish(),
-                estimate: permit.estimate(),
-                took,
-            })
+            Ok(Outcome { made, stages: task.watch.finish(), estimate: permit.estimate(), took })
         }
         Ok(Err(CascadeError::Cancelled)) if task.is_late() => Err(task.late()),
         Ok(Err(error)) => Err(EngineError::from(error)),
@@ -256,25 +213,6 @@ fn run(queue: &Queue, workers: &Workers, task: &Task, work: Work, turn: Turn<'_>
     drop((turn, permit));
     // A caller who left needs no answer.
     let _ = result.send(outcome);
-}
-
-/// The cascade, and what is done with its points.
-fn compute(
-    request: &Request,
-    runner: &dyn LevelRunner,
-    watch: &Watch,
-) -> Result<(Upsampled, Vec<Attribute>), CascadeError> {
-    let Request { cloud, target, settings, finish } = request;
-    let mut dense = densecloud_cascade::upsample(&cloud.positions, *target, settings, runner, watch)?;
-    if !finish.is_needed(cloud) {
-        return Ok((dense, Vec::new()));
-    }
-    watch.begin(watch.progress().levels.saturating_sub(1), Stage::Attributes);
-    let made = std::mem::take(&mut dense.positions);
-    let finished = attributes::finish(cloud, made, finish, &|| watch.cancelled());
-    let (positions, attributes) = finished.ok_or(CascadeError::Cancelled)?;
-    dense.positions = positions;
-    Ok((dense, attributes))
 }
 
 fn message(panic: &(dyn std::any::Any + Send)) -> String {

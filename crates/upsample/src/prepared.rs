@@ -1,12 +1,12 @@
 //! From a cloud and options to all that is known before the work: the same behind every door.
 
 use densecloud_backends::ModelName;
-use densecloud_cloud::{Attribute, Cloud, Origin, Table};
+use densecloud_cloud::{Cloud, Origin, Table};
 use densecloud_formats::Format;
 
 use crate::options::Options;
 use crate::provenance;
-use crate::request::Request;
+use crate::request::{Made, Request};
 use crate::survey::{self, GoalError, Survey};
 
 /// A request that can be worked on, and what its result will be.
@@ -110,10 +110,10 @@ impl Prepared {
 impl Report {
     /// Adds what is known once the result is there: how many points it has, what was done to the input, and what its
     /// format has no place for.
-    pub fn complete(&mut self, points_out: usize, attributes: &[Attribute], about_input: Vec<String>) {
-        self.points_out = points_out as u64;
-        self.warnings.extend(about_input);
-        let lost = self.format.cannot_hold(attributes, &self.origin);
+    pub fn complete(&mut self, made: &Made) {
+        self.points_out = made.positions.len() as u64;
+        self.warnings.extend(made.warnings());
+        let lost = self.format.cannot_hold(&made.attributes, &self.origin);
         if !lost.is_empty() {
             self.warnings.push(format!("the result's format has no place for {}", lost.join(", ")));
         }
@@ -123,7 +123,7 @@ impl Report {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use densecloud_cloud::Values;
+    use densecloud_cloud::{Attribute, Values};
     use densecloud_formats::{PlyEncoding, Scalar};
 
     fn prepare(cloud: Cloud, options: &[(&str, &str)]) -> Result<Prepared, PrepareError> {

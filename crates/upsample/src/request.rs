@@ -1,11 +1,11 @@
-//! What a caller wants done.
+//! The work itself: a request, and what is made of it.
 
-use densecloud_cascade::{CascadeOptions, Target};
-use densecloud_cloud::Cloud;
+use densecloud_cascade::{CascadeError, CascadeOptions, LevelRunner, Observer, Stage, Target, upsample};
+use densecloud_cloud::{Attribute, Cloud, Position};
 
-use crate::attributes::Finish;
+use crate::attributes::{self, Finish};
 
-/// What a caller wants done.
+/// What a caller wants done, with all that is left open decided: see [`Prepared`](crate::Prepared).
 #[derive(Debug, Clone)]
 pub struct Request {
     /// The cloud, in its own coordinates.
@@ -26,5 +26,63 @@ impl Request {
         let (usual, CascadeOptions { overlap, inner, .. }) = (CascadeOptions::default(), self.settings);
         let (run, merged) = (overlap / usual.overlap, overlap * inner / (usual.overlap * usual.inner));
         run.max(merged).max(1.0)
+    }
+
+    /// Runs the cascade and finishes what it made, on the current rayon pool. `observer` hears of the cascade's stages,
+    /// and of [`Stage::Attributes`] where there is anything to finish.
+    ///
+    /// Cost: that of [`upsample`] and of [`attributes::finish`].
+    ///
+    /// # Errors
+    /// [`CascadeError`]: the cloud or the target is impossible, the runner failed, or the observer stopped it.
+    pub fn run(&self, runner: &dyn LevelRunner, observer: &dyn Observer) -> Result<Made, CascadeError> {
+        let Self { cloud, target, settings, finish } = self;
+        let dense = upsample(&cloud.positions, *target, settings, runner, observer)?;
+        let made = Made {
+            positions: dense.positions,
+            attributes: Vec::new(),
+            dropped_non_finite: dense.dropped_non_finite,
+            duplicates: dense.duplicates,
+            apart: dense.apart,
+        };
+        if !finish.is_needed(cloud) {
+            return Ok(made);
+        }
+        observer.begin(dense.levels.saturating_sub(1), Stage::Attributes);
+        let finished = attributes::finish(cloud, made.positions, finish, &|| observer.cancelled());
+        let (positions, attributes) = finished.ok_or(CascadeError::Cancelled)?;
+        Ok(Made { positions, attributes, ..made })
+    }
+}
+
+/// What became of a request.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Made {
+    /// The dense cloud: exactly as many positions as were asked for, in the input's coordinates.
+    pub positions: Vec<Position>,
+    /// The attributes of each point.
+    pub attributes: Vec<Attribute>,
+    /// Points left out because a coordinate was NaN or infinite.
+    pub dropped_non_finite: usize,
+    /// Points that coincided with an earlier one.
+    pub duplicates: usize,
+    /// Points that lie apart from all others, kept as they are.
+    pub apart: usize,
+}
+
+impl Made {
+    /// What a person should know about how the input was treated, a sentence each.
+    #[must_use]
+    pub fn warnings(&self) -> Vec<String> {
+        let sentences = [
+            (self.dropped_non_finite, "points left out: NaN or infinite"),
+            (self.duplicates, "points coincide with another; they count towards the size alone"),
+            (
+                self.apart,
+                "points lie apart from all others (outliers?); they are kept as they are, and nothing is made of them",
+            ),
+        ];
+        let some = sentences.into_iter().filter(|(count, _)| *count > 0);
+        some.map(|(count, sentence)| format!("{count} {sentence}")).collect()
     }
 }

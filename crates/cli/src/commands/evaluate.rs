@@ -235,7 +235,7 @@ impl Cascade {
             finish: Finish::default(),
         };
         let outcome = self.engine.submit(request).and_then(Pending::wait);
-        outcome.map(|o| o.positions).map_err(|e| CliError::Failed(format!("shape `{name}`: {e}")))
+        outcome.map(|o| o.made.positions).map_err(|e| CliError::Failed(format!("shape `{name}`: {e}")))
     }
 }
 

@@ -80,9 +80,15 @@ pub(super) fn run(args: &UpsampleArgs) -> Result<(), CliError> {
     let engine = args.engine.engine(model)?;
     let job = engine.submit(request).map_err(fail)?;
     let outcome = wait(job, args.quiet).map_err(fail)?;
-    report.complete(outcome.positions.len(), &outcome.attributes, outcome.warnings());
+    report.complete(&outcome.made);
     warn(&report.warnings[told..]);
-    files::write_cloud(&args.output, report.format, &outcome.positions, &outcome.attributes, &report.origin)?;
+    files::write_cloud(
+        &args.output,
+        report.format,
+        &outcome.made.positions,
+        &outcome.made.attributes,
+        &report.origin,
+    )?;
     if !report.format.holds_comments() && files::is_kept(&args.output) {
         let beside = files::beside(&args.output, PROVENANCE);
         files::write(&beside, |sink| Ok(writeln!(sink, "{}", report.provenance)?))?;

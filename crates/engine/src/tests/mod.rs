@@ -52,7 +52,7 @@ fn a_request_gives_what_the_cascade_gives() {
     )
     .unwrap();
     let outcome = engine.submit(request).unwrap().wait().unwrap();
-    assert_eq!(outcome.positions, direct.positions);
+    assert_eq!(outcome.made.positions, direct.positions);
     assert!(outcome.stages.total() > Duration::ZERO && outcome.stages.total() == outcome.took);
     assert_eq!(engine.queued_points(), 0);
 }
@@ -62,7 +62,7 @@ fn requests_can_be_awaited() {
     let runtime = tokio::runtime::Builder::new_current_thread().build().unwrap();
     let engine = Engine::with_backend(Arc::new(Fake::new()), sizes(1_000_000)).unwrap();
     let outcome = runtime.block_on(async { engine.submit(request(100, 2.0)).unwrap().await }).unwrap();
-    assert_eq!(outcome.positions.len(), 200);
+    assert_eq!(outcome.made.positions.len(), 200);
 }
 
 #[test]
@@ -101,7 +101,7 @@ fn beyond_the_budget_requests_are_refused() {
 #[test]
 fn one_request_above_the_budget_runs_alone() {
     let engine = engine(&Machine::new(1), 10);
-    assert_eq!(engine.submit(request(100, 2.0)).unwrap().wait().unwrap().positions.len(), 200);
+    assert_eq!(engine.submit(request(100, 2.0)).unwrap().wait().unwrap().made.positions.len(), 200);
 }
 
 #[test]
@@ -148,7 +148,7 @@ fn errors_reach_the_caller() {
     assert!(matches!(few, EngineError::Cascade(CascadeError::TooFewPoints { .. })), "{few}");
     let failed = engine.submit(request(500, 2.0)).unwrap().wait().unwrap_err();
     assert!(matches!(failed, EngineError::Cascade(CascadeError::Backend(_))), "{failed}");
-    assert_eq!(engine.submit(request(500, 2.0)).unwrap().wait().unwrap().positions.len(), 1000);
+    assert_eq!(engine.submit(request(500, 2.0)).unwrap().wait().unwrap().made.positions.len(), 1000);
 }
 
 #[test]
@@ -195,7 +195,7 @@ fn a_small_request_does_not_wait_for_a_large_one() {
     machine.wait_for_a_batch();
     machine.open_gate();
     for _ in 0..3 {
-        assert_eq!(engine.submit(request(100, 4.0)).unwrap().wait().unwrap().positions.len(), 400);
+        assert_eq!(engine.submit(request(100, 4.0)).unwrap().wait().unwrap().made.positions.len(), 400);
     }
     assert_eq!(engine.queued_points(), 960_000, "neither of the large ones is done");
     drop((large, queued));
@@ -239,7 +239,7 @@ fn a_reservation_becomes_the_works_own() {
     let me = caller("me");
     let permit = engine.reserve(&me, cost(100, 300)).unwrap();
     let job = engine.submit_for(&me, request(100, 2.0), Some(permit)).unwrap();
-    assert_eq!(job.wait().unwrap().positions.len(), 200);
+    assert_eq!(job.wait().unwrap().made.positions.len(), 200);
     assert_eq!(engine.queued_points(), 0);
     // More than was guessed: there must be room for it.
     let (permit, other) = (engine.reserve(&me, cost(100, 100)).unwrap(), engine.reserve(&me, cost(100, 850)));
@@ -408,7 +408,7 @@ fn work_waits_for_memory_and_is_refused_where_there_is_never_enough() {
     assert_eq!(waits.progress().levels, 0);
     machine.open_gate();
     // A small one fits beside it.
-    assert_eq!(engine.submit(request(100, 4.0)).unwrap().wait().unwrap().positions.len(), 400);
+    assert_eq!(engine.submit(request(100, 4.0)).unwrap().wait().unwrap().made.positions.len(), 400);
     drop(first);
     wait_until(|| waits.progress().levels > 0);
     drop(second);

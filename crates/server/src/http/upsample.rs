@@ -154,7 +154,7 @@ pub(crate) async fn run<T: Send + 'static>(
         error => Problem::from_engine(error),
     })?;
     app.metrics.worked(outcome.estimate, outcome.took);
-    report.complete(outcome.positions.len(), &outcome.attributes, outcome.warnings());
+    report.complete(&outcome.made);
     timing.add(app, "queue", start.elapsed().saturating_sub(outcome.stages.total()));
     for (stage, took) in outcome.stages.iter() {
         timing.add(app, stage.name(), took);
@@ -162,7 +162,7 @@ pub(crate) async fn run<T: Send + 'static>(
     app.metrics.points(report.points_in, report.points_out);
     let about = About::of(&report);
     let Report { format, origin, .. } = report;
-    let dense = Dense { positions: outcome.positions, attributes: outcome.attributes, origin };
+    let dense = Dense { positions: outcome.made.positions, attributes: outcome.made.attributes, origin };
     Ok((Done { dense, held, format, about, timing }, rest))
 }
 

@@ -111,13 +111,12 @@ impl Work for Upsampling {
             },
         )?;
         app.metrics.worked(outcome.estimate, outcome.took);
-        report.complete(outcome.positions.len(), &outcome.attributes, outcome.warnings());
-        encode(sink, report.format, &outcome.positions, &outcome.attributes, &report.origin).map_err(
-            |error| match error {
+        report.complete(&outcome.made);
+        encode(sink, report.format, &outcome.made.positions, &outcome.made.attributes, &report.origin)
+            .map_err(|error| match error {
                 FormatError::Io(error) => Stopped::Storage(error),
                 error => refused(Problem::Internal(error.to_string())),
-            },
-        )?;
+            })?;
         for (stage, took) in outcome.stages.iter() {
             app.metrics.stage(stage.name(), took);
         }
