@@ -4,7 +4,6 @@ use std::fmt;
 use std::path::Path;
 
 use super::registry::{self, Format};
-use super::xyz::Separator;
 use densecloud_cloud::{Attribute, Origin, Position};
 
 /// The type of written coordinates.
@@ -49,9 +48,6 @@ impl Format {
     pub fn from_extension(path: &Path) -> Option<Self> {
         registry::from_extension(&path.extension()?.to_str()?.to_ascii_lowercase())
     }
-
-    /// Text without names, with spaces.
-    pub const TEXT: Self = Self::Xyz { names: false, separator: Separator::Space };
 
     /// Whether both are of one kind, whatever the choices within it.
     #[must_use]

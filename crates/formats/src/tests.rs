@@ -1,5 +1,6 @@
 //! Whole files in, clouds and meshes out, and back.
 
+mod blocks;
 mod broken;
 mod e57_files;
 mod findings;

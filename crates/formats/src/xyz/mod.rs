@@ -39,6 +39,11 @@ impl Separator {
     }
 }
 
+impl Format {
+    /// Text without names, with spaces.
+    pub const TEXT: Self = Self::Xyz { names: false, separator: Separator::Space };
+}
+
 impl Kind for Xyz {
     /// Whatever is text, and nothing else.
     const MARK: Mark = Mark::Lines(|_| true);
