@@ -143,7 +143,7 @@ impl Values {
     /// The number at `index` as a double (64-bit integers beyond 2^53 are rounded).
     ///
     /// # Panics
-    /// When there are not so many.
+    /// When `index` is not less than [`len`](Self::len).
     #[must_use]
     #[allow(clippy::unnecessary_cast, clippy::cast_lossless, reason = "one expression for every type")]
     pub fn get(&self, index: usize) -> f64 {

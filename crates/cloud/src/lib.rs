@@ -21,7 +21,7 @@ pub type Position = [f64; 3];
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Cloud {
     /// One entry a point, in the file's order and units. May hold non-finite values: see
-    /// [`crate::cascade`] for the rule about them.
+    /// the crate `densecloud-cascade` for the rule about them.
     pub positions: Vec<Position>,
     /// What else the file tells of each point, in the file's order.
     pub attributes: Vec<Attribute>,

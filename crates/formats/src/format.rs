@@ -153,8 +153,8 @@ impl Format {
         self.ask(|format| format.encoded_len(points, attributes, origin))
     }
 
-    /// Bytes that a file of `points` points will have, about, and mostly less, where each point has
-    /// `attribute_bytes` bytes of attributes in memory.
+    /// An estimate of a file's length in bytes, mostly from above. `attribute_bytes`: bytes of a point's attributes in
+    /// memory.
     #[must_use]
     pub fn file_bytes(self, points: u64, attribute_bytes: u64) -> u64 {
         let position = size_of::<Position>() as u64;

@@ -38,7 +38,7 @@ pub(crate) trait Kind: Choices + Copy + 'static {
 pub(crate) enum Mark {
     /// By bytes that nothing else begins with.
     Bytes(fn(&[u8]) -> bool),
-    /// By its first lines, among what is text and has no mark of the first sort; in the registry's order.
+    /// By its first lines. Asked of text that no format's bytes match, in the registry's order.
     Lines(fn(&[u8]) -> bool),
 }
 
@@ -57,7 +57,7 @@ pub(crate) trait Choices: fmt::Display {
     /// The format of a result that is wanted in this one, by an extension, say; see [`Format::of_result`].
     fn of_result(&self, input: Format, names: bool) -> Format;
 
-    /// What a cloud of this format is written in where nobody says which, where that is another.
+    /// The format that a cloud of this one is written in by default, if it is another.
     fn written(&self) -> Option<Format> {
         None
     }
@@ -87,7 +87,8 @@ pub(crate) trait Choices: fmt::Display {
         false
     }
 
-    /// What else it has no place for, a phrase each: of the attributes, and of what is known of the whole.
+    /// Attributes and facts about the whole cloud that it has no place for, a phrase each; the coordinate system and
+    /// tables are asked for apart.
     fn not_held(&self, _attributes: &[Attribute], origin: &Origin) -> Vec<String> {
         origin.extra.as_ref().map(|extra| extra.lost_elsewhere()).unwrap_or_default()
     }
@@ -97,8 +98,8 @@ pub(crate) trait Choices: fmt::Display {
         false
     }
 
-    /// Whether nothing but the number of points must be known before the first is written: then
-    /// [`begin`](Self::begin) begins a file.
+    /// Whether the header depends on the number of points and the types of attributes alone, so that
+    /// [`begin`](Self::begin) can write it before any point is known.
     fn is_streamed(&self) -> bool;
 
     /// The exact length of a file, where it depends on the number of points and on nothing else of them.
@@ -106,14 +107,14 @@ pub(crate) trait Choices: fmt::Display {
         None
     }
 
-    /// Bytes that a point takes in a file, about, and mostly less, where its position takes `position` bytes in
-    /// memory and its attributes take `attributes`.
+    /// An estimate of a point's bytes in a file, mostly from above. `position`, `attributes`: bytes of its position and
+    /// of its attributes in memory.
     fn bytes_a_point(&self, position: u64, attributes: u64) -> u64 {
         position + attributes
     }
 
-    /// The bytes before the points, and what makes those of the points, of a cloud of exactly `points` points with
-    /// attributes of these names and types.
+    /// Begins a file of exactly `points` points with attributes of these names and types: returns the header, and the
+    /// encoder of its points.
     ///
     /// # Errors
     /// The format is not [streamed](Self::is_streamed).
@@ -124,7 +125,7 @@ pub(crate) trait Choices: fmt::Display {
         origin: &Origin,
     ) -> Result<(Vec<u8>, Box<dyn Rows>), FormatError>;
 
-    /// Writes a whole cloud. What is not streamed makes a pass over the columns for its header first.
+    /// Writes a whole cloud. A format that is not streamed passes over the columns for its header first.
     ///
     /// # Errors
     /// The sink fails, or the cloud holds what the format does not.
@@ -142,7 +143,7 @@ pub(crate) trait Choices: fmt::Display {
 
 /// Makes the bytes of points, a block at a time.
 pub(crate) trait Rows: Debug + Send + Sync {
-    /// Appends the bytes of points, the first of which has the attributes' values at row `from`.
+    /// Appends the bytes of points. The first point's attributes are at row `from`.
     ///
     /// # Errors
     /// A coordinate does not fit into the type that it is written in.

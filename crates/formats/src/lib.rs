@@ -13,9 +13,12 @@
 //! | OBJ | read (vertices) | |
 //!
 //! A reader is opened first and read second: [`CloudReader::open`] parses the header alone, so that
-//! limits are checked, and a refusal sent, before any point is read. What a header *claims* is never
-//! believed: memory grows with the data, and a claim that the data do not keep is an error that says
+//! limits are checked, and a refusal sent, before any point is read. [`CloudReader::read`] returns all points,
+//! [`CloudReader::next_block`] some of them at a time in memory that does not grow with the file. A header's claim
+//! is never believed: memory grows with the data, and a claim that the data do not keep is an error that says
 //! where the data ended.
+//!
+//! A format is a module that implements the traits of `kind.rs`, and an entry in `registry.rs`. No other file names it.
 //!
 //! Everything here is blocking `std::io`, and nothing here panics on bad input.
 //!

@@ -1,4 +1,4 @@
-//! Numbers to bytes and to text: what formats that store rows have in common.
+//! Numbers to bytes and to text, for every format that stores rows.
 
 use std::io::Write;
 
@@ -26,7 +26,7 @@ impl Storage {
 /// What begins the comment that tells the coordinate system.
 pub(super) const CRS: &str = "crs: ";
 
-/// Appends rows: each point's position as `scalar`, then its attributes, the first of which are those of row `from`.
+/// Appends a row a point: the position as `scalar`, then the attributes. The first point's attributes are at row `from`.
 ///
 /// # Errors
 /// A finite coordinate is beyond the range of [`Scalar::F32`].

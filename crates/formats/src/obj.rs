@@ -1,4 +1,4 @@
-//! Wavefront OBJ, of which the vertices are points.
+//! Wavefront OBJ: its vertices are read as points.
 
 use std::fmt;
 

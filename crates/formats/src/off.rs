@@ -125,7 +125,7 @@ impl OffHeader {
         Ok(Self { vertices, faces, normals, colours, given: 0, columns })
     }
 
-    /// Reads the next vertex; gives what is behind its coordinates, too.
+    /// Reads the next vertex: its position, and the rest of its line.
     fn vertex<'a>(
         &self,
         source: &'a mut Source<'_>,

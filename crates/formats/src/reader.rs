@@ -46,17 +46,16 @@ pub struct CloudReader<'r> {
 pub struct Block {
     /// One entry a point, in the file's order and units; NaN and infinite coordinates as they are.
     pub positions: Vec<Position>,
-    /// What else the file tells of these points, one number a point each. [`Ending::columns`] has what the columns
-    /// are; they are as many in each block, but a column of text that holds no number type of its own is of 64-bit
-    /// integers up to the block where a fraction is among them, of doubles from there on, and empty from where
-    /// something in it is no number.
+    /// The other columns, one number a point each; [`Ending::columns`] says which attribute each is. All blocks have the
+    /// same columns. A text file declares no types: its columns hold 64-bit integers until a fraction is met, doubles
+    /// from that block on, and nothing from the block on in which a field is no number.
     pub columns: Vec<Values>,
 }
 
-/// What is known of a cloud when all of it has been read.
+/// Facts about a cloud that are known only after its last point.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Ending {
-    /// What each column of the blocks is; none where it is not kept.
+    /// The attribute that each column of the blocks is; none for a column that is not kept.
     pub columns: Vec<Option<ColumnName>>,
     /// As [`Cloud::dropped_properties`].
     pub dropped_properties: Vec<String>,
@@ -91,8 +90,8 @@ impl Ending {
 
 /// The points of a file that is open.
 pub(crate) trait Points {
-    /// Appends the next points, `rows` at most, to a block that is empty or is what the calls before have left;
-    /// none where all are read. What does not lie point after point in the file comes at once, whatever `rows` is.
+    /// Appends the next points, at most `rows` of them, and nothing when all are read. The block is empty, or holds the
+    /// points of all calls before. A file whose points do not lie one after another gives all of them in one call.
     ///
     /// # Errors
     /// The data are malformed, end early, or pass a limit.
@@ -140,11 +139,12 @@ impl<'r> CloudReader<'r> {
         &self.header
     }
 
-    /// Reads the next points, `rows` at most, in place of what the block holds; false where all are read. Memory is
-    /// that of the block and of a buffer, however long the file is, but for files whose points do not lie one after
-    /// another: compressed PCD, E57, OBJ, and NumPy's arrays in Fortran's order come in one block. What must be
-    /// sought in (LAS, LAZ, E57) is read from a file where [`open_file`](Self::open_file) was given one, and is held
-    /// in memory up to 64 MiB, or else in a temporary file, where not.
+    /// Replaces the block's points by the next ones, at most `rows` of them; false when all are read.
+    ///
+    /// Memory is that of the block and a buffer, whatever the file's length. Files whose points do not lie one after
+    /// another come in one block: compressed PCD, E57, OBJ, and NumPy arrays in Fortran order. LAS, LAZ and E57 need
+    /// to seek: a file given to [`open_file`](Self::open_file) is read where it lies; a stream is copied first, to memory
+    /// up to 64 MiB and to a temporary file beyond.
     ///
     /// # Errors
     /// The data are malformed, end early, or pass a limit.

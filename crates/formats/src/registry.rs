@@ -1,6 +1,6 @@
-//! The formats that there are: an entry each, with the choices that its [`Kind`] is made of.
+//! The list of formats: one entry each, with the choices that a file of it can be written with.
 //!
-//! Text that others have their marks in comes last: whatever is text and has none is taken for columns of numbers.
+//! Formats of text are asked in this order. Plain columns of numbers come last, since any text could be that.
 
 use super::kind::{Choices, Kind, Mark, Opened};
 use super::source::Source;
@@ -8,7 +8,7 @@ use super::{
     FormatError, Limits, PcdEncoding, PlyEncoding, Scalar, Separator, e57, las, npy, obj, off, pcd, ply, xyz,
 };
 
-/// Declares [`Format`], and what is asked of all formats.
+/// Declares [`Format`] and the ways from it to the formats' modules.
 macro_rules! formats {
     ($(
         $(#[$doc:meta])*
@@ -28,7 +28,7 @@ macro_rules! formats {
             }
         })+
 
-        /// What is asked of a format whatever its choices.
+        /// All formats, whatever the choices within them.
         const KINDS: &[Registered] = &[$(Registered::of::<$module::$name>(),)+];
 
         impl Format {
@@ -133,7 +133,7 @@ pub(crate) fn from_media_type(media_type: &str) -> Option<Format> {
     KINDS.iter().find_map(|kind| (kind.from_media_type)(media_type))
 }
 
-/// What a file's first bytes say of its format.
+/// A file's format, recognised by its first bytes.
 pub(crate) struct Found {
     pub(crate) open: Open,
     /// Whether it begins with points, and so with nothing that tells it from other text.

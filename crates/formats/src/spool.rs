@@ -9,9 +9,9 @@ pub(crate) const IN_MEMORY: usize = 64 << 20;
 /// Bytes of a file that are held at a time.
 const WINDOW: u64 = 64 << 10;
 
-/// Bytes to read, write and seek in, for libraries that need to. The first [`IN_MEMORY`] are held; with the next, all
-/// go to a file without a name, in the system's folder for temporary ones, of which [`WINDOW`] bytes are held. Where
-/// no such file can be written, they stay in memory.
+/// Bytes to read, write and seek in, for libraries that need to. Up to [`IN_MEMORY`] bytes are held in memory. More go
+/// to a temporary file without a name, and only a window of [`WINDOW`] bytes of it is held. Where no such file can be
+/// written, the bytes stay in memory.
 #[derive(Debug)]
 pub(crate) struct Spool {
     store: Store,
@@ -58,7 +58,7 @@ impl Spool {
         }
     }
 
-    /// The bytes from `at` on, as many as `bytes` has; false where there are fewer.
+    /// Fills `bytes` from place `at` on; false where fewer bytes are there.
     pub(crate) fn read_at(&mut self, at: u64, bytes: &mut [u8]) -> io::Result<bool> {
         if at.checked_add(bytes.len() as u64).is_none_or(|end| end > self.len()) {
             return Ok(false);
@@ -74,7 +74,7 @@ impl Spool {
         Ok(is_there.then_some(u64::from_le_bytes(word)))
     }
 
-    /// Moves what is held to a file, where one can be written.
+    /// Moves the bytes from memory to a temporary file, if one can be written.
     fn roll(&mut self) {
         let Store::Memory(bytes) = &mut self.store else { return };
         let written = tempfile::tempfile().and_then(|mut file| {
@@ -91,7 +91,7 @@ impl Spool {
         }
     }
 
-    /// Takes all back into memory: the disk is full, say.
+    /// Moves the bytes from the file back to memory, because the disk is full, say.
     fn unroll(&mut self) -> io::Result<()> {
         if let Store::File(window) = &mut self.store {
             let mut bytes = Cursor::new(window.all()?);
@@ -145,12 +145,12 @@ impl Seek for Spool {
     }
 }
 
-/// A file, of which one stretch is held. Unlike in a `BufReader`, seeking within the stretch costs nothing, and unlike
-/// in a `BufWriter`, what is written can be read.
+/// A file and one stretch of it in memory. A `BufReader` would drop its buffer at every seek, and a `BufWriter` cannot
+/// be read from.
 #[derive(Debug)]
 struct Window {
     file: File,
-    /// With what is held and not yet written.
+    /// Bytes of the file, the unwritten ones included.
     length: u64,
     place: u64,
     /// Where the stretch begins: a multiple of [`WINDOW`].
@@ -164,7 +164,7 @@ impl Window {
         Self { file, length, place: 0, start: 0, bytes: Vec::new(), is_changed: false }
     }
 
-    /// Holds the stretch that the place is in, and gives the place in it.
+    /// Loads the stretch around the current place, and returns the place within it.
     fn hold(&mut self) -> io::Result<usize> {
         let start = self.place - self.place % WINDOW;
         if start != self.start || self.bytes.is_empty() {
@@ -188,7 +188,7 @@ impl Window {
         Ok(())
     }
 
-    /// All bytes, those among them that could not be written.
+    /// All bytes of the file, the unwritten ones included.
     fn all(&mut self) -> io::Result<Vec<u8>> {
         let mut all = Vec::new();
         self.file.seek(SeekFrom::Start(0))?;

@@ -27,9 +27,10 @@ pub struct CloudWriter<W: Write> {
 
 /// Writes a whole cloud, in any format. `origin` is what its source told of the whole.
 ///
-/// What is encoded is written some thousand points at a time. Formats that are not [streamed](Format::is_streamed)
-/// tell more of all points in their header than their number, and make a pass over the columns for it. Of LAZ and E57 the
-/// file itself is made first, in memory up to 64 MiB, else in a temporary file; compressed PCD is one block of memory.
+/// Points are encoded and written some thousand at a time. The header of a format that is not
+/// [streamed](Format::is_streamed) depends on all points, so it costs a pass over the columns first. LAZ and E57 files are
+/// made as a whole before they are written: in memory up to 64 MiB, in a temporary file beyond. Compressed PCD is made in
+/// memory.
 ///
 /// # Errors
 /// The sink fails, a coordinate is beyond what the format holds, or a point's attributes are.
@@ -57,7 +58,7 @@ pub(super) fn write_streamed(
     rows.end(sink)
 }
 
-/// Writes points block by block, the first of which has the attributes' values at row `from`.
+/// Writes points block by block. The first point's attributes are at row `from`.
 fn write_blocks(
     sink: &mut dyn Write,
     rows: &dyn Rows,
@@ -75,7 +76,7 @@ fn write_blocks(
 }
 
 impl<W: Write> CloudWriter<W> {
-    /// Writes the header of a cloud of exactly `points` points, of which nothing but positions is told.
+    /// Writes the header of a cloud of exactly `points` points without attributes.
     ///
     /// # Errors
     /// As [`with`](Self::with).

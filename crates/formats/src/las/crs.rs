@@ -111,7 +111,7 @@ pub(super) fn write(crs: &Crs) -> Vec<LasRecord> {
 }
 
 /// Whether a code of the EPSG register is that of a geographic system: GeoTIFF has another key for those.
-/// The register has them from 4000 to 4999, and a few since, of which the commonest are here.
+/// The register numbers them 4000 to 4999, and has added a few elsewhere since; the commonest of those are here.
 fn is_geographic(code: u16) -> bool {
     matches!(code, 4000..=4999 | 6318 | 6322 | 6325 | 6668 | 7844 | 8232 | 9000 | 9057 | 9755)
 }

@@ -21,7 +21,7 @@ impl Extra {
         if self.scale.is_some() { Kind::F64 } else { self.kind }
     }
 
-    /// Appends the attribute of each of some points, `bytes` of which lie before the extra bytes.
+    /// Appends the attribute of each row. The extra bytes begin at byte `bytes` of a row.
     pub(super) fn take<'a>(&self, rows: impl Iterator<Item = &'a [u8]>, bytes: usize, column: &mut Values) {
         // Offset and size are within the extra bytes, which end the row.
         let from = bytes + self.offset;

@@ -115,7 +115,7 @@ impl<'a> Plan<'a> {
         Ok(Self { las, format, minor, axes, reach, columns, records })
     }
 
-    /// Puts points into rows of `stride` bytes, the first of which has the attributes' values at row `from`.
+    /// Puts points into rows of `stride` bytes. The first point's attributes are at row `from`.
     pub(super) fn fill(&self, rows: &mut [u8], stride: usize, positions: &[Position], from: usize) {
         rows.fill(0);
         for (row, position) in rows.chunks_exact_mut(stride).zip(positions) {

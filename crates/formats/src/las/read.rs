@@ -24,8 +24,8 @@ const LONGEST: usize = 255;
 /// Most extra bytes in a compressed point: the decoder has tables of 10 KB for each. Real files have some tens.
 const MOST_EXTRA: usize = 1024;
 
-/// Bytes of points decoded at a time: memory grows with what is there, whatever the header counts, and
-/// however long it says that a point is.
+/// Bytes of points decoded at a time. The bound is in bytes, because the header may claim any number of points and any
+/// length of one.
 const BLOCK: usize = 1 << 22;
 
 /// What the fixed part of the header tells; the rest is read with the points.

@@ -117,7 +117,7 @@ pub(super) fn to_vlr(record: LasRecord) -> Vlr {
     Vlr { user_id: cut(user_id, 16), record_id: id, description: cut(description, 32), data }
 }
 
-/// The text without what is beyond `most` bytes.
+/// The text, shortened to `most` bytes at a character's end.
 pub(super) fn cut(mut text: String, most: usize) -> String {
     while text.len() > most {
         text.pop();

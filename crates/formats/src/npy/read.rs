@@ -157,7 +157,7 @@ impl NpyPoints {
         FormatError::truncated(source.offset(), why)
     }
 
-    /// Rows of all fields: as many as are buffered, `rows` at most.
+    /// Reads the rows in the buffer, at most `rows` of them.
     fn append_rows(
         &mut self,
         source: &mut Source<'_>,

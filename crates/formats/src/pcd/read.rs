@@ -195,7 +195,7 @@ impl PcdPoints {
         FormatError::truncated(at, format!("the header counts {} points, and {found} are there", self.points))
     }
 
-    /// Lines, `rows` at most.
+    /// Reads at most `rows` lines.
     fn read_text(
         &self,
         source: &mut Source<'_>,
@@ -225,7 +225,7 @@ impl PcdPoints {
         Ok(row)
     }
 
-    /// Rows: as many as are buffered, `rows` at most.
+    /// Reads the rows in the buffer, at most `rows` of them.
     fn read_rows(
         &self,
         source: &mut Source<'_>,

@@ -215,7 +215,7 @@ impl VertexReader {
         }
     }
 
-    /// Rows of equal length: as many as are buffered, from the buffer.
+    /// Reads the rows in the buffer, at most `rows` of them; all are of equal length.
     fn append_stride<const BIG: bool>(
         &mut self,
         source: &mut Source<'_>,

@@ -201,7 +201,7 @@ impl Points for XyzPoints {
     }
 }
 
-/// The position in a line; the other columns take what is theirs.
+/// Returns the position in a line, and appends the other fields to their columns.
 fn row(
     axes: [usize; 3],
     others: &mut [(usize, TextColumn)],
