@@ -231,6 +231,12 @@ mod tests {
     }
 
     #[test]
+    fn the_shipped_model_takes_what_was_measured() {
+        let model = Arc::new(Model::embedded().unwrap());
+        assert_eq!(OnnxBackend::new(model).unwrap().demand(), Demand::default());
+    }
+
+    #[test]
     fn a_file_that_is_no_graph_is_refused_by_name() {
         let mut model = Model::embedded().unwrap();
         model.units[1] = Cow::Borrowed(b"no graph");

@@ -1,8 +1,8 @@
 //! Points with nothing around them: kept as they are, and nothing is made of them.
 //!
-//! A unit sees neighbours. A lone point's neighbours are far off, on a surface that is not its own, so what the unit
-//! makes of it lies somewhere between; the next level takes that for a surface; and farthest point sampling, which
-//! chooses what is far from everything, prefers it all to the scan: of each lone point came a cloud of them.
+//! A unit sees neighbours. A lone point's neighbours are far off, on a surface that is not its own, so the unit puts its
+//! new points somewhere between; the next level takes those for a surface; and farthest point sampling, which chooses
+//! the points far from all others, prefers them to the scan. Each lone point would become a cloud of them.
 
 use rayon::prelude::*;
 

@@ -25,7 +25,7 @@ pub(super) struct Shares<'a> {
     pub(super) input: &'a Measured,
     /// For each input point, the area of the surface nearest to it that the units made.
     pub(super) areas: &'a [f32],
-    /// How far the input is trusted, from 0 to 1.
+    /// How clean the input is, from 0 to 1.
     pub(super) trust: f32,
 }
 

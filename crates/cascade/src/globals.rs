@@ -1,8 +1,8 @@
 //! What a part of a cloud cannot know alone.
 //!
-//! Points are placed by what lies around them, and by a few numbers of the whole: how far apart points usually are, how
+//! Points are placed by their neighbours, and by a few numbers of the whole cloud: how far apart points usually are, how
 //! far strays usually stray, whether the input is clean. Those numbers are here, with the functions that compute
-//! them, and nowhere else: what is given a [`Globals`] that is filled computes the same for a part as for the whole.
+//! them, and nowhere else. A level that is given a filled [`Globals`] computes none of them.
 //!
 //! Three things of the whole are no numbers, and stay with their algorithms: the order in which farthest point sampling
 //! chooses, the random draws for its first points, and exact sizes.
@@ -10,8 +10,8 @@
 use crate::apart::PASSES;
 use densecloud_cloud::{Frame, Point};
 
-/// Every statistic of a whole cloud that the cascade uses. Each is computed at its first use, from the whole, and taken as
-/// it is afterwards; none is none so far.
+/// Every statistic of a whole cloud that the cascade uses. Each is `None` until its first use, which computes it; later
+/// uses take it as it is.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Globals {
     /// Between the file's coordinates and the local ones: [`Frame::fit`] over all finite points.
@@ -33,7 +33,7 @@ pub(crate) struct Globals {
 pub(crate) struct LevelGlobals {
     /// The distance from the input that most points keep: [`usual_distance`].
     pub(crate) usual_distance: Option<f32>,
-    /// How many times a limit a point may stray: [`most_strayed`].
+    /// How far a point may stray, in multiples of its limits: [`most_strayed`].
     pub(crate) most_strayed: Option<f32>,
 }
 
@@ -53,7 +53,7 @@ pub(crate) struct PolishGlobals {
 }
 
 impl Globals {
-    /// With what is known before the first level.
+    /// Before the first level: nothing is known but the frame.
     pub(crate) fn new(frame: Frame) -> Self {
         Self {
             frame,
@@ -112,11 +112,11 @@ pub(crate) fn usual_distance(distances: impl Iterator<Item = f32>) -> f32 {
     if sound < sorted.len() { nth(&mut sorted, sound) } else { 0.0 }
 }
 
-/// By so many times a limit a point strays that is no near miss.
+/// A point that strays by more than this multiple of a limit is no near miss.
 const WORSE: f32 = 1.5;
 
-/// How many times a limit points may stray: once, where `size` points do not stray further. Where fewer do, as far as the
-/// `size` least strayed, but no further than [`WORSE`], unless fewer than `least` are left by that.
+/// How far points may stray, in multiples of their limits: 1 where that leaves `size` points. Else as far as the `size`
+/// least strayed do, but no further than [`WORSE`], unless that leaves fewer than `least`.
 pub(crate) fn most_strayed(strayed: &[f32], size: usize, least: usize) -> f32 {
     if strayed.iter().filter(|s| **s <= 1.0).count() >= size {
         return 1.0;

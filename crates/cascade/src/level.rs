@@ -11,10 +11,10 @@ use super::{BackendError, CascadeError, CascadeOptions, Observer, Stage};
 use densecloud_cloud::Point;
 use densecloud_geometry::{Rng, farthest_point_sampling};
 
-/// The share of a level's size that is enough where a polish follows, which chooses among midpoints: rather than take the
-/// worst strays for the rest, the level goes without.
+/// The share of a level's size that is enough where a polish follows, which chooses among midpoints: the level does
+/// without the rest rather than take the worst strays for it.
 const ENOUGH: f64 = 0.75;
-/// What the last level then has at least: the size asked of it may exceed twice the size of the one before it by a quarter.
+/// The share that the last level then has at least: its size may exceed twice the size of the one before it by a quarter.
 const FEWEST: f64 = 0.5;
 
 /// One level about to run.

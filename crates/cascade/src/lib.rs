@@ -230,7 +230,7 @@ pub fn upsample(
     cascade(input, target, &Run { options, runner, observer }, &mut globals)
 }
 
-/// Runs all levels by what is known of the whole, and fills in what is not.
+/// Runs all levels. Takes the statistics that `globals` has, and fills in the others.
 fn cascade(
     input: Input,
     target: Target,

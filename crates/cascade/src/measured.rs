@@ -1,4 +1,4 @@
-//! The cascade's input, as what is made of it is measured against.
+//! The cascade's input: new points are measured against it.
 
 use rayon::prelude::*;
 
@@ -11,7 +11,7 @@ use densecloud_geometry::{KdTree, Neighbour, Walk};
 /// Others around each input point: no point must lie beyond all of them.
 const AROUND: usize = 8;
 
-/// What every point that is made is measured against: the cascade's input, and where its surface ends.
+/// New points are measured against this: the cascade's input, and where its surface ends.
 pub(super) struct Reference {
     pub(super) input: Measured,
     pub(super) borders: Borders,
@@ -64,9 +64,9 @@ impl Measured {
     }
 
     /// How far `p` lies beyond the input points nearest to it, seen from their centroid, in the spacing of
-    /// `i`, the nearest: negative among them, positive past an open border or a tip. The lesser of two: beyond
-    /// those around `i`, which are known already and tell of most points that it is no more than is
-    /// `allowed`, and beyond the nearest to `p` itself, which in a wide gap lie on its far side, too.
+    /// `i`, the nearest: negative among them, positive past an open border or a tip. It is the lesser of two distances:
+    /// beyond the points around `i`, which are known already and suffice where `p` is beyond by no more than is
+    /// `allowed`; and beyond the points nearest to `p` itself, some of which lie on the far side of a wide gap.
     pub(super) fn beyond(&self, p: Point, i: u32, allowed: f32, found: &mut Vec<Neighbour>) -> f32 {
         let ring = [i].into_iter().chain(self.around(i).iter().copied());
         let beyond = self.beyond_all(p, ring) / self.spacing[i as usize];

@@ -25,14 +25,15 @@ const NEIGHBOURS: usize = 7;
 /// A noisy input point further than this from every midpoint, in its own spacing, is a tip that they
 /// fall short of. A clean one is a candidate wherever it lies: no midpoint is as exact.
 const SHORT: f32 = 0.5;
-/// Points of the sample whose midpoints are looked at for that.
+/// Points of the sample around an input point whose midpoints are compared with it.
 const AROUND: usize = 16;
 /// Neighbours that a normal is estimated from, the point itself among them.
 const NORMAL_NEIGHBOURS: usize = 12;
-/// How far beyond the points that the units made the surface is taken to reach, in the input's spacing, where there are
-/// as many of them as of input points; the denser they are, the less.
+/// How far the surface is taken to reach beyond the points that the units made, in the input's spacing, if they are as
+/// many as the input's; it shrinks as they become denser.
 const REACH: f32 = 0.9;
-/// What the units made lies in one sheet where it is no further from its tangent plane than this, in the input's spacing.
+/// Points that the units made lie in one sheet if they are no further from its tangent plane than this, in the input's
+/// spacing.
 const FLAT: f32 = 0.2;
 /// A midpoint is of one surface if the edge lies within 45 degrees of both tangent planes: this is
 /// the sine. Others bridge sheets or cut corners.

@@ -191,7 +191,7 @@ impl Default for Demand {
 }
 
 impl Demand {
-    /// Bytes for a last level of so many points.
+    /// Bytes for a last level of `points` points.
     #[must_use]
     pub fn bytes(self, points: u64) -> u64 {
         points.saturating_mul(self.a_point).saturating_add(self.fixed)

@@ -35,7 +35,7 @@ impl<T> Default for Fair<T> {
 }
 
 impl<T> Fair<T> {
-    /// Adds an item of so many points. O(log clients).
+    /// Adds an item that counts as `points`. O(log clients).
     pub fn push(&mut self, client: &Client, item: T, points: u64) {
         let clock = self.clock;
         let new = || Flow { waiting: VecDeque::new(), start: clock, turn: 0 };
@@ -73,14 +73,14 @@ impl<T> Fair<T> {
         Some(item)
     }
 
-    /// Takes out one client's item that `is` it; what never ran is not charged. O(its items).
+    /// Takes out the client's item that `is` picks, and charges nothing for it. O(its items).
     pub(super) fn remove(&mut self, client: &Client, is: impl Fn(&T) -> bool) -> Option<T> {
         let waiting = &mut self.flows.get_mut(client)?.waiting;
         let place = waiting.iter().position(|(item, _)| is(item))?;
         waiting.remove(place).map(|(item, _)| item)
     }
 
-    /// What waits, of one client or, `None`, of all.
+    /// The items that wait: one client's, or all for `None`.
     pub(super) fn iter(&self, client: Option<&Client>) -> impl Iterator<Item = &T> {
         let flows = self.flows.iter().filter(move |(of, _)| client.is_none_or(|client| client == *of));
         flows.flat_map(|(_, flow)| flow.waiting.iter().map(|(item, _)| item))

@@ -198,7 +198,7 @@ impl State {
         self.clients.get(client).map_or(0, |loads| loads.iter().map(|load| load.points).sum())
     }
 
-    /// Microseconds of work that are left of what `client` has admitted to `lane`; `None` is all clients.
+    /// Microseconds of admitted work that are left in `lane`: the client's, or all for `None`.
     fn left(&self, client: Option<&Client>, lane: Lane) -> u64 {
         let admitted: u64 = match client {
             Some(client) => self.clients.get(client).map_or(0, |loads| loads[lane as usize].time),
@@ -212,8 +212,8 @@ impl State {
         admitted.saturating_sub(self.running.iter().filter(mine).map(done).sum())
     }
 
-    /// How long what waits in a lane will take, of one client or, `None`, of all. Not what is reserved: its upload
-    /// may take minutes, in which others' work is done. O(what waits).
+    /// How long the work that waits in a lane will take: one client's, or all for `None`. Reserved work does not count:
+    /// its upload may take minutes, in which others' work is done. O(tasks that wait).
     fn waiting_time(&self, client: Option<&Client>, lane: Lane) -> Duration {
         self.waiting[lane as usize].iter(client).map(|task| task.estimate).sum()
     }
@@ -222,8 +222,8 @@ impl State {
         self.left(None, Lane::Express).saturating_add(self.left(None, Lane::Bulk))
     }
 
-    /// When a request that comes now would be done, if the queue is as fair as it should be: after as much of
-    /// each other client's work in its lane as of its own client's, while the other lane has half the machine.
+    /// When a request that comes now would be done, if the queue is fair: after its own client's work, and as much of each
+    /// other client's in its lane, while the other lane has half the machine.
     fn done_in(&self, client: &Client, cost: Cost) -> Duration {
         let lane = cost.lane();
         let own = self.left(Some(client), lane).saturating_add(self.time(cost));
@@ -435,7 +435,7 @@ impl Queue {
         self.lock().points
     }
 
-    /// Bytes that what is at work takes, as estimated.
+    /// Bytes that the tasks at work take, as estimated.
     pub(super) fn memory(&self) -> u64 {
         self.lock().memory()
     }
@@ -460,7 +460,7 @@ impl Queue {
         Some(self.lock().pace.estimate(cost)).filter(|estimate| !estimate.is_zero())
     }
 
-    /// Time for what is admitted and not done.
+    /// How long the work that is admitted and not done will take.
     pub(super) fn backlog(&self) -> Duration {
         let mut state = self.lock();
         state.look(self.clock.now());

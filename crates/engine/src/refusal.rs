@@ -58,7 +58,7 @@ pub enum Refusal {
         /// The limit.
         limit: u64,
     },
-    /// Not to be done by its deadline, with what is before it.
+    /// It would be done after its deadline, since other work is before it.
     #[error(
         "with what is queued, this request would be done in about {:.1} s, and it has {:.1} s left",
         needed.as_secs_f64(), left.as_secs_f64()

@@ -3,6 +3,7 @@
 use densecloud_backends::ModelName;
 use densecloud_cloud::{Cloud, Origin, Table};
 use densecloud_formats::Format;
+use densecloud_geometry::{TooManyPoints, check_count};
 
 use crate::options::Options;
 use crate::provenance;
@@ -42,6 +43,9 @@ pub enum PrepareError {
     /// There is no number of points for the goal.
     #[error(transparent)]
     Goal(#[from] GoalError),
+    /// The cloud has more points than indices can tell apart.
+    #[error(transparent)]
+    TooManyPoints(#[from] TooManyPoints),
     /// A rule names an attribute that the cloud does not have.
     #[error(
         "no attribute {name:?}; the input has {}", if known.is_empty() { "none".to_owned() } else { known.join(", ") }
@@ -74,6 +78,7 @@ impl Prepared {
             let known = names.iter().map(|&name| name.to_owned()).collect();
             return Err(PrepareError::UnknownAttribute { name: name.to_owned(), known });
         }
+        check_count(cloud.positions.len())?;
         let points_in = cloud.positions.len() as u64;
         let target = goal.target(&cloud.positions)?;
         let mut warnings = cloud.warnings();

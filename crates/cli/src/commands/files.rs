@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use super::CliError;
 use densecloud_cloud::{Attribute, Cloud, Origin, Position};
 use densecloud_formats::{CloudReader, Format, Header, Limits, encode, read_cloud_file};
+use densecloud_geometry::check_count;
 
 pub(super) fn is_stream(path: &Path) -> bool {
     path.as_os_str() == "-"
@@ -19,7 +20,7 @@ pub(super) fn beside(path: &Path, suffix: &str) -> PathBuf {
     name.into()
 }
 
-/// Reads a cloud, `-` from standard input.
+/// Reads a cloud, `-` from standard input; refuses one of more points than indices can tell apart.
 pub(super) fn read_cloud(path: &Path) -> Result<(Cloud, Header), CliError> {
     let read = if is_stream(path) {
         CloudReader::open(BufReader::new(io::stdin().lock()), Limits::default()).and_then(|reader| {
@@ -29,7 +30,9 @@ pub(super) fn read_cloud(path: &Path) -> Result<(Cloud, Header), CliError> {
     } else {
         read_cloud_file(path)
     };
-    read.map_err(|why| CliError::file(path, why))
+    let (cloud, header) = read.map_err(|why| CliError::file(path, why))?;
+    check_count(cloud.positions.len()).map_err(|why| CliError::file(path, why))?;
+    Ok((cloud, header))
 }
 
 /// Writes a cloud, `-` to standard output.

@@ -4,7 +4,7 @@ use rayon::prelude::*;
 
 use super::rules::{Rule, Rules};
 use densecloud_cloud::{Attribute, Cloud, Frame, Kind, Point, Position, Values};
-use densecloud_geometry::{KdTree, Walk};
+use densecloud_geometry::{KdTree, Walk, indices};
 
 /// Source points that a mean is taken over; the last one only sets how far the others reach.
 const NEAREST: usize = 6;
@@ -93,7 +93,7 @@ impl Near {
         cancelled: &(dyn Fn() -> bool + Sync),
     ) -> Option<Self> {
         let finite = |p: &Position| p.iter().all(|c| c.is_finite());
-        let rows: Vec<u32> = (0..source.len() as u32).filter(|&i| finite(&source[i as usize])).collect();
+        let rows: Vec<u32> = indices(source.len()).filter(|&i| finite(&source[i as usize])).collect();
         let positions: Vec<Position> = rows.iter().map(|&i| source[i as usize]).collect();
         let frame = Frame::fit(&positions).ok()?;
         let points: Vec<Point> = positions.iter().map(|p| frame.to_local(*p)).collect();

@@ -4,7 +4,7 @@ use super::carry::{Near, carry, normal_of};
 use super::keep::without_nearest;
 use super::rules::{Rule, Rules};
 use densecloud_cloud::{Attribute, Cloud, Frame, Origin, Point, Position, Values};
-use densecloud_geometry::estimate_normals;
+use densecloud_geometry::{estimate_normals, indices};
 
 /// Neighbours that an estimated normal is made of.
 const NORMAL_NEIGHBOURS: usize = 16;
@@ -62,6 +62,9 @@ impl Finish {
 ///
 /// Cost: that of [`carry()`](super::carry()), and with [`Finish::keep_input`] or
 /// [`Finish::estimate_normals`] a tree of the dense points and a few neighbours of each.
+///
+/// # Panics
+/// Above [`MAX_POINTS`](densecloud_geometry::MAX_POINTS) points in the source, which the cascade refuses.
 #[must_use]
 pub fn finish(
     source: &Cloud,
@@ -73,8 +76,7 @@ pub fn finish(
     let mut originals: Vec<Position> = Vec::new();
     if how.keep_input {
         let finite = |p: &Position| p.iter().all(|c| c.is_finite());
-        kept =
-            (0..source.positions.len() as u32).filter(|&i| finite(&source.positions[i as usize])).collect();
+        kept = indices(source.positions.len()).filter(|&i| finite(&source.positions[i as usize])).collect();
         originals = kept.iter().map(|&i| source.positions[i as usize]).collect();
         dense = without_nearest(dense, &originals)?;
     }

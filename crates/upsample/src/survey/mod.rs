@@ -15,7 +15,7 @@ pub use strays::strays;
 pub use target::{Goal, GoalError};
 
 use densecloud_cloud::{Frame, FrameError, Point, Position};
-use densecloud_geometry::{KdTree, Rng};
+use densecloud_geometry::{KdTree, Rng, indices};
 use local::Local;
 
 /// Points measured where nobody asks for another number: all medians are then exact to about 1 %.
@@ -80,6 +80,9 @@ impl Survey {
     ///
     /// # Errors
     /// There is no finite point, or all are the same.
+    ///
+    /// # Panics
+    /// Above [`MAX_POINTS`](densecloud_geometry::MAX_POINTS).
     pub fn of(positions: &[Position], sample: usize) -> Result<Self, FrameError> {
         let finite: Vec<Position> =
             positions.iter().copied().filter(|p| p.iter().all(|c| c.is_finite())).collect();
@@ -216,7 +219,7 @@ impl Spread {
 
 /// `wanted` of `n` indices at random, always the same; all where there are no more.
 fn chosen(n: usize, wanted: usize) -> Vec<u32> {
-    let mut indices: Vec<u32> = (0..n as u32).collect();
+    let mut indices: Vec<u32> = indices(n).collect();
     if wanted < n {
         let mut random = Rng::new(0);
         for i in 0..wanted {
