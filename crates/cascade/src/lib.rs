@@ -13,7 +13,7 @@
 //! - Points that coincide in local `f32` are one point to the network, but each counts towards the
 //!   target: the result has the size that the header promised.
 //! - Points that lie apart from all surface (outliers, groups of up to four) are kept as they are, and nothing is made
-//!   of them: see [`apart`]. They count towards the target.
+//!   of them. They count towards the target.
 //! - Too few distinct points for the unit, or all of them equal, is a [`CascadeError`].
 //!
 //! # Determinism

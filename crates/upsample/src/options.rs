@@ -163,7 +163,10 @@ pub static PARAMETERS: [Parameter; 15] = [
         value: Some("D"),
         help: "Mean distance from a point to its nearest neighbour, in the cloud's units",
         topic: Topic::Goal,
-        read: |options, text| Ok(options.goal = Goal::Spacing(positive(text)?)),
+        read: |options, text| {
+            options.goal = Goal::Spacing(positive(text)?);
+            Ok(())
+        },
         tell: |options| match options.goal {
             Goal::Spacing(spacing) => Some(Value::Number(spacing)),
             _ => None,
@@ -175,7 +178,10 @@ pub static PARAMETERS: [Parameter; 15] = [
         value: Some("N"),
         help: "Points a square unit of surface",
         topic: Topic::Goal,
-        read: |options, text| Ok(options.goal = Goal::Density(positive(text)?)),
+        read: |options, text| {
+            options.goal = Goal::Density(positive(text)?);
+            Ok(())
+        },
         tell: |options| match options.goal {
             Goal::Density(density) => Some(Value::Number(density)),
             _ => None,
@@ -187,7 +193,10 @@ pub static PARAMETERS: [Parameter; 15] = [
         value: None,
         help: "Keep the input's points exactly, before the new ones; each takes the place of one of these",
         topic: Topic::Points,
-        read: |options, text| Ok(options.finish.keep_input = switch(text)?),
+        read: |options, text| {
+            options.finish.keep_input = switch(text)?;
+            Ok(())
+        },
         tell: |options| Some(Value::Switch(options.finish.keep_input)),
     },
     Parameter {
@@ -196,7 +205,10 @@ pub static PARAMETERS: [Parameter; 15] = [
         value: None,
         help: "Add `source_index` (the row of the input's point that is nearest) and `is_generated` to each point",
         topic: Topic::Attributes,
-        read: |options, text| Ok(options.finish.source_fields = switch(text)?),
+        read: |options, text| {
+            options.finish.source_fields = switch(text)?;
+            Ok(())
+        },
         tell: |options| Some(Value::Switch(options.finish.source_fields)),
     },
     Parameter {
@@ -220,7 +232,10 @@ pub static PARAMETERS: [Parameter; 15] = [
         value: Some("X,Y,Z"),
         help: "Where the sensor stood, for the side of estimated normals [default: as the file says]",
         topic: Topic::Attributes,
-        read: |options, text| Ok(options.finish.sensor = Some(position(text)?)),
+        read: |options, text| {
+            options.finish.sensor = Some(position(text)?);
+            Ok(())
+        },
         tell: |options| options.finish.sensor.map(|[x, y, z]| Value::Text(format!("{x},{y},{z}"))),
     },
     Parameter {
@@ -231,7 +246,8 @@ pub static PARAMETERS: [Parameter; 15] = [
         topic: Topic::Points,
         read: |options, text| {
             let wrong = |_| format!("{text:?} is not a whole number from 0 to {}", u64::MAX);
-            Ok(options.cascade.seed = text.parse().map_err(wrong)?)
+            options.cascade.seed = text.parse().map_err(wrong)?;
+            Ok(())
         },
         tell: |options| Some(Value::Whole(options.cascade.seed)),
     },
@@ -241,7 +257,10 @@ pub static PARAMETERS: [Parameter; 15] = [
         value: Some("X"),
         help: "How many patches each point lies in, on average: more is slower",
         topic: Topic::Cascade,
-        read: |options, text| Ok(options.cascade.overlap = within(text, MOST_OVERLAP)?),
+        read: |options, text| {
+            options.cascade.overlap = within(text, MOST_OVERLAP)?;
+            Ok(())
+        },
         tell: |options| Some(Value::Number(options.cascade.overlap)),
     },
     Parameter {
@@ -252,8 +271,8 @@ pub static PARAMETERS: [Parameter; 15] = [
         topic: Topic::Cascade,
         read: |options, text| {
             let inner = parse_in(text, 0.0..=1.0);
-            Ok(options.cascade.inner =
-                inner.ok_or_else(|| format!("{text:?} is not a number from 0 to 1"))?)
+            options.cascade.inner = inner.ok_or_else(|| format!("{text:?} is not a number from 0 to 1"))?;
+            Ok(())
         },
         tell: |options| Some(Value::Number(options.cascade.inner)),
     },
@@ -263,7 +282,10 @@ pub static PARAMETERS: [Parameter; 15] = [
         value: Some("X"),
         help: "Leave out points moved further than this many spacings from their source; `inf` keeps all",
         topic: Topic::Cascade,
-        read: |options, text| Ok(options.cascade.max_displacement = limit(text)?),
+        read: |options, text| {
+            options.cascade.max_displacement = limit(text)?;
+            Ok(())
+        },
         tell: |options| Some(Value::Number(options.cascade.max_displacement)),
     },
     Parameter {
@@ -273,7 +295,10 @@ pub static PARAMETERS: [Parameter; 15] = [
         help: "Leave out points further from the input than this many times what nine in ten keep to, and points \
                beyond its open borders; `inf` keeps all",
         topic: Topic::Cascade,
-        read: |options, text| Ok(options.cascade.max_distance = limit(text)?),
+        read: |options, text| {
+            options.cascade.max_distance = limit(text)?;
+            Ok(())
+        },
         tell: |options| Some(Value::Number(options.cascade.max_distance)),
     },
     Parameter {
@@ -282,7 +307,10 @@ pub static PARAMETERS: [Parameter; 15] = [
         value: None,
         help: "Keep what the network made as it is: less even, less smooth, and each point an output of the network",
         topic: Topic::Cascade,
-        read: |options, text| Ok(options.cascade.polish = !switch(text)?),
+        read: |options, text| {
+            options.cascade.polish = !switch(text)?;
+            Ok(())
+        },
         tell: |options| Some(Value::Switch(!options.cascade.polish)),
     },
     Parameter {
