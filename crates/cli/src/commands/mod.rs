@@ -48,7 +48,7 @@ struct Arguments {
 enum Command {
     Upsample(upsample::UpsampleArgs),
     Inspect(inspect::InspectArgs),
-    Serve(serve_args::ServeArgs),
+    Serve(Box<serve_args::ServeArgs>),
     Job(job::JobArgs),
     Evaluate(evaluate::EvaluateArgs),
     Sample(sample::SampleArgs),
