@@ -126,7 +126,8 @@ impl<'r> Source<'r> {
         if let (Place::Byte(0), Input::File(file)) = (self.offset(), &self.input) {
             let file = file.try_clone()?;
             self.drain()?;
-            return Ok(Spool::of_file(file)?);
+            // The bytes that the hash is of, even if the file has grown since.
+            return Ok(Spool::of_file(file, self.pulled));
         }
         let mut spool = Spool::new();
         while self.ensure(1)? {

@@ -35,10 +35,9 @@ impl Spool {
         Self { store: Store::Memory(Cursor::default()), most }
     }
 
-    /// The bytes of a file that is there, from its beginning.
-    pub(crate) fn of_file(file: File) -> io::Result<Self> {
-        let length = file.metadata()?.len();
-        Ok(Self { store: Store::File(Window::new(file, length)), most: IN_MEMORY })
+    /// The first `length` bytes of a file.
+    pub(crate) fn of_file(file: File, length: u64) -> Self {
+        Self { store: Store::File(Window::new(file, length)), most: IN_MEMORY }
     }
 
     /// How many bytes there are.
