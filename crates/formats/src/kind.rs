@@ -18,6 +18,10 @@ pub(crate) trait Kind: Choices + Copy + 'static {
     /// What its files begin with, for people; none for text, which begins with points.
     const BEGINNING: Option<&'static str>;
 
+    /// The word at the end of a header of lines, which must be there whole before the header can be judged; none where
+    /// its beginning says enough.
+    const HEADER_END: Option<&'static [u8]> = None;
+
     /// The media types that it is written as, without parameters.
     const MEDIA_TYPES: &'static [&'static str];
 

@@ -35,6 +35,7 @@
 
 mod columns;
 mod error;
+mod first_bytes;
 mod format;
 mod kind;
 mod mesh;
@@ -58,6 +59,7 @@ mod ply;
 mod xyz;
 
 pub use error::{FormatError, Place};
+pub use first_bytes::FirstBytes;
 pub use format::{Header, Limits, Scalar};
 pub use mesh::{read_mesh, read_mesh_file};
 pub use npy::npy_header;

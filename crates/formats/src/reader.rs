@@ -5,6 +5,7 @@ use std::io::Read;
 use std::path::Path;
 
 use super::columns::TextColumn;
+use super::first_bytes::ENOUGH;
 use super::kind::Opened;
 use super::registry::{self, Found};
 use super::source::{Input, Source};
@@ -125,7 +126,7 @@ impl<'r> CloudReader<'r> {
     /// text under the name of another format is refused rather than taken for points.
     fn open_as(input: Input<'r>, limits: Limits, expected: Option<Format>) -> Result<Self, FormatError> {
         let mut source = Source::new(input, limits)?;
-        let found = recognise(source.peek(4096)?)?;
+        let found = recognise(source.peek(ENOUGH)?)?;
         if let (true, Some(begins)) = (found.is_bare, expected.and_then(Format::beginning)) {
             let found = format!("text that does not begin with {begins}");
             return Err(FormatError::Unrecognised { found });

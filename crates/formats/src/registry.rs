@@ -105,6 +105,7 @@ struct Registered {
     open: Open,
     /// Whether its files begin with points.
     is_bare: bool,
+    header_end: Option<&'static [u8]>,
 }
 
 impl Registered {
@@ -119,6 +120,7 @@ impl Registered {
             from_media_type: |media_type| K::from_media_type(media_type).map(Format::from),
             open: K::open,
             is_bare: K::BEGINNING.is_none(),
+            header_end: K::HEADER_END,
         }
     }
 }
@@ -138,6 +140,8 @@ pub(crate) struct Found {
     pub(crate) open: Open,
     /// Whether it begins with points, and so with nothing that tells it from other text.
     pub(crate) is_bare: bool,
+    /// The word that ends its header, if the header must be whole to be judged.
+    pub(crate) header_end: Option<&'static [u8]>,
 }
 
 /// The format whose bytes a file begins with.
@@ -152,7 +156,7 @@ pub(crate) fn by_lines(head: &[u8]) -> Option<Found> {
 
 fn find(fits: impl Fn(&Mark) -> bool) -> Option<Found> {
     let kind = KINDS.iter().find(|kind| fits(&kind.mark))?;
-    Some(Found { open: kind.open, is_bare: kind.is_bare })
+    Some(Found { open: kind.open, is_bare: kind.is_bare, header_end: kind.header_end })
 }
 
 const MEDIA_TYPE_COUNT: usize = {

@@ -12,6 +12,9 @@ use super::{FormatError, Limits, Place};
 /// Bytes of a first read; the buffer grows beyond only for a longer line or row.
 const BLOCK: usize = 256 * 1024;
 
+/// The byte order mark of UTF-8.
+pub(super) const BOM: &[u8] = b"\xEF\xBB\xBF";
+
 /// A longer line is refused: without a bound, a file without line ends would be held in memory whole.
 const MAX_LINE: usize = 1 << 20;
 
@@ -72,7 +75,7 @@ impl<'r> Source<'r> {
             newline: b'\n',
             hash: Sha256::new(),
         };
-        if source.peek(3)? == [0xEF, 0xBB, 0xBF] {
+        if source.peek(3)? == BOM {
             source.consume(3);
         }
         let head = source.peek(4096)?;

@@ -63,6 +63,7 @@ impl Kind for Ply {
         head.strip_prefix(b"ply").is_some_and(|rest| rest.first().is_none_or(u8::is_ascii_whitespace))
     });
     const BEGINNING: Option<&'static str> = Some("the line `ply`");
+    const HEADER_END: Option<&'static [u8]> = Some(b"end_header");
     const MEDIA_TYPES: &'static [&'static str] = &["application/x-ply"];
 
     fn from_extension(extension: &str) -> Option<Self> {

@@ -12,7 +12,7 @@ use crate::app::App;
 use crate::connection::decode::{Coding, DecodeError, Decoder};
 use crate::problem::Problem;
 use densecloud_cloud::Cloud;
-use densecloud_formats::{CloudReader, Format, FormatError, Limits};
+use densecloud_formats::{CloudReader, FirstBytes, Format, FormatError, Limits};
 
 /// A body that arrives, or is given up politely.
 pub(crate) struct Upload {
@@ -35,9 +35,6 @@ pub(crate) struct Received {
 /// answer before the connection closes under it.
 const LINGER: Duration = Duration::from_secs(10);
 const LINGER_BYTES: usize = 512 << 20;
-
-/// Bytes after which text tells its format.
-const SNIFF: usize = 4096;
 
 impl Upload {
     pub(crate) fn new(headers: &HeaderMap, body: Body) -> Self {
@@ -230,22 +227,6 @@ fn reader_limits(app: &App) -> Limits {
     Limits { max_bytes: Some(limits.body_bytes), max_points: Some(limits.points_in) }
 }
 
-fn is_ply(bytes: &[u8]) -> bool {
-    bytes.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(bytes).starts_with(b"ply")
-}
-
-/// Whether these first bytes of a body, of which `new` have just arrived, hold its header.
-fn header_is_there(bytes: &[u8], new: usize) -> bool {
-    const END: &[u8] = b"end_header";
-    if !is_ply(bytes) {
-        return bytes.len() >= SNIFF;
-    }
-    // One line end must follow. Only what is new is searched: a header that comes byte by byte
-    // must not cost the square of its length.
-    let from = (bytes.len() - new).saturating_sub(END.len() + 1);
-    bytes[from..].windows(END.len() + 1).any(|w| w.starts_with(END) && w[END.len()].is_ascii_whitespace())
-}
-
 /// Checks a file's header in its first bytes, so that a cloud that is too large is refused before the rest of it
 /// arrives.
 pub(crate) struct HeaderCheck<'a, F> {
@@ -262,46 +243,23 @@ impl<'a, F: FnMut(u64) -> Result<(), Problem>> HeaderCheck<'a, F> {
 
     /// To be shown all that has arrived, of which `new` bytes are new.
     pub(crate) fn judge(&mut self, bytes: &[u8], new: usize) -> Result<(), Problem> {
-        if self.done || !header_is_there(bytes, new) {
+        if self.done {
+            return Ok(());
+        }
+        let first = FirstBytes::of(bytes, new);
+        if first == FirstBytes::TooFew {
             return Ok(());
         }
         self.done = true;
         match CloudReader::open(bytes, reader_limits(self.app)) {
             Ok(reader) => reader.header().points.map_or(Ok(()), &mut self.known),
-            // Text is cut off somewhere here, so only the whole of it can be judged.
+            // Only the whole of it can be judged.
             Err(FormatError::Malformed { .. } | FormatError::Truncated { .. } | FormatError::Empty(_))
-                if !is_ply(bytes) =>
+                if first == FirstBytes::CutOff =>
             {
                 Ok(())
             }
             Err(error) => Err(error.into()),
         }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_ply_header_is_noticed_with_its_last_byte_however_it_is_cut() {
-        let header = b"ply\nformat ascii 1.0\nelement vertex 3\nend_header\n";
-        for cut in [1, 2, 3, 7, header.len()] {
-            let mut seen = None;
-            for end in (cut..=header.len()).step_by(cut).chain([header.len()]) {
-                let start = end.saturating_sub(cut);
-                if header_is_there(&header[..end], end - start) {
-                    seen = Some(end);
-                    break;
-                }
-            }
-            assert_eq!(seen, Some(header.len()), "pieces of {cut}");
-        }
-    }
-
-    #[test]
-    fn text_is_looked_at_once_there_is_enough_of_it() {
-        assert!(!header_is_there(b"1 2 3\n", 6));
-        assert!(header_is_there(&[b' '; SNIFF], 1));
     }
 }
