@@ -41,6 +41,7 @@
 
 pub mod attributes;
 mod options;
+mod parameters;
 mod prepared;
 pub mod provenance;
 mod request;
@@ -53,7 +54,8 @@ pub use densecloud_cloud as cloud;
 pub use densecloud_formats as formats;
 pub use densecloud_geometry as geometry;
 
-pub use options::{OptionError, Options, PARAMETERS, Parameter, Topic, Value};
+pub use options::{OptionError, Options};
+pub use parameters::{PARAMETERS, Parameter, Topic, Value};
 pub use prepared::{PrepareError, Prepared, Report};
 pub use request::{Made, Request};
 pub use upsampler::{Dense, Input, UpsampleError, Upsampler};
