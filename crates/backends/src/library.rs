@@ -1,19 +1,12 @@
 //! Finding ONNX Runtime's shared library, once a process.
 
+use std::env::consts::{DLL_PREFIX, DLL_SUFFIX};
 use std::path::PathBuf;
 use std::sync::OnceLock;
 
 use ort::environment::Environment;
 
 use super::BackendError;
-
-const NAME: &str = if cfg!(target_os = "windows") {
-    "onnxruntime.dll"
-} else if cfg!(target_os = "macos") {
-    "libonnxruntime.dylib"
-} else {
-    "libonnxruntime.so"
-};
 
 /// The process's one environment: ONNX Runtime allows no second.
 static ENVIRONMENT: OnceLock<Result<Environment, BackendError>> = OnceLock::new();
@@ -41,6 +34,7 @@ fn find() -> PathBuf {
     if let Some(path) = std::env::var_os("ORT_DYLIB_PATH").filter(|path| !path.is_empty()) {
         return path.into();
     }
-    let beside_program = std::env::current_exe().ok().and_then(|exe| Some(exe.parent()?.join(NAME)));
-    beside_program.filter(|path| path.exists()).unwrap_or_else(|| PathBuf::from(NAME))
+    let name = format!("{DLL_PREFIX}onnxruntime{DLL_SUFFIX}");
+    let beside_program = std::env::current_exe().ok().and_then(|exe| Some(exe.parent()?.join(&name)));
+    beside_program.filter(|path| path.exists()).unwrap_or_else(|| name.into())
 }

@@ -1,6 +1,7 @@
 //! The seam between the cascade and what runs its units.
 
 use std::any::Any;
+use std::env::consts::{DLL_PREFIX, DLL_SUFFIX};
 use std::fmt;
 
 use crate::patches::Patches;
@@ -204,8 +205,8 @@ impl Demand {
 pub enum BackendError {
     /// ONNX Runtime's shared library is nowhere to be found, or cannot be used.
     #[error(
-        "cannot load ONNX Runtime: {why}; set ORT_DYLIB_PATH to libonnxruntime.so (1.24 or newer), or put \
-         it next to the program"
+        "cannot load ONNX Runtime: {why}; set ORT_DYLIB_PATH to {DLL_PREFIX}onnxruntime{DLL_SUFFIX} (1.24 or newer), \
+         or put it next to the program"
     )]
     Library {
         /// The loader's own words, and where it looked.
