@@ -1,6 +1,7 @@
 //! Puts ONNX Runtime's library beside the program, and fetches it when it is missing, so that plain `cargo run` and
 //! `cargo test` work in a fresh checkout.
 
+use std::env::consts::{ARCH, OS};
 use std::io;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -15,9 +16,22 @@ fn main() {
     println!("cargo::rerun-if-changed={}", vendor.display());
     println!("cargo::rerun-if-env-changed=ORT_DYLIB_PATH");
     // Building does not need the library, so a failure to get it must not stop the build.
-    if let Err(why) = fetch(&script, &vendor).and_then(|()| put_beside_program(&vendor.join(NAME))) {
+    if let Err(why) = is_for_this_machine()
+        .and_then(|()| fetch(&script, &vendor))
+        .and_then(|()| put_beside_program(&vendor.join(NAME)))
+    {
         println!("cargo::warning=ONNX Runtime was not fetched ({why}); set ORT_DYLIB_PATH before running");
     }
+}
+
+/// The script fetches the library of the machine that builds, of no use to a program for another one.
+fn is_for_this_machine() -> io::Result<()> {
+    let target = |name| std::env::var(name).map_err(io::Error::other);
+    let (os, arch) = (target("CARGO_CFG_TARGET_OS")?, target("CARGO_CFG_TARGET_ARCH")?);
+    if os == OS && arch == ARCH {
+        return Ok(());
+    }
+    Err(io::Error::other(format!("the program is for {os} on {arch}, this machine is {OS} on {ARCH}")))
 }
 
 /// Fetches the library into the checkout, unless it is there.
