@@ -2,7 +2,7 @@
 # Packs target/dist/densecloud, ONNX Runtime's library and all licences into out/densecloud-VERSION-MACHINE-linux.tar.gz,
 # which runs where it is unpacked:
 #
-#     cargo build --profile dist --locked && sh scripts/package.sh
+#     sh scripts/build-dist.sh && sh scripts/package.sh
 set -eu
 cd "$(dirname "$0")/.."
 sh scripts/fetch-onnxruntime.sh
