@@ -1,4 +1,4 @@
-//! A file in, a denser file out: when to reach for it: a script over files, in any format that is read and written.
+//! A file in, a denser file out. For scripts over files, in any format that is read and written.
 //!
 //! ```sh
 //! cargo run --release --example file -- scan.ply dense.ply 4

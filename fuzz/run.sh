@@ -5,7 +5,7 @@
 #     cargo install cargo-fuzz && rustup toolchain install nightly
 #     sh fuzz/run.sh [SECONDS [TARGET ...]]
 #
-# A finding ends its target and lies in fuzz/artifacts/TARGET; make a test of it in src/formats/tests.
+# A finding ends its target and lies in fuzz/artifacts/TARGET; make a test of it in crates/formats/src/tests/findings.rs.
 set -eu
 cd "$(dirname "$0")/.."
 seconds=${1:-600}

@@ -1,6 +1,6 @@
 #!/bin/sh
 # SHA-256 of what the program makes of real scans, to hold one build against another: a line `NAME SHA256` a case.
-# `scans.sh PROGRAM SCANS DENSE OUT.txt`: two folders of scans, and the file to write, which `diff` compares with another's.
+# `scan-hashes.sh PROGRAM SCANS DENSE OUT.txt`: two folders of scans, and the file to write, which `diff` compares with another's.
 # A case whose scan is missing, or that fails, ends it. Needs GNU coreutils; a few minutes on two cores.
 set -eu
 [ $# -eq 4 ] || { echo "usage: $0 PROGRAM SCANS DENSE OUT.txt" >&2; exit 64; }

@@ -23,7 +23,7 @@ pub struct Cloud {
     /// One entry a point, in the file's order and units. May hold non-finite values: see
     /// the crate `densecloud-cascade` for the rule about them.
     pub positions: Vec<Position>,
-    /// What else the file tells of each point, in the file's order.
+    /// What else the file tells of each point, in the file's order: one value a point.
     pub attributes: Vec<Attribute>,
     /// Names of what the reader saw and did not keep (lists, text, arrays), in the file's order.
     pub dropped_properties: Vec<String>,

@@ -12,7 +12,13 @@ use crate::attributes::Finish;
 use crate::parameters::{PARAMETERS, Parameter, Topic, Value};
 use crate::survey::Goal;
 
-/// All that decides a result beside its input and the model.
+/// All that decides a result beside its input and the model. Values may be set field by field, too:
+///
+/// ```
+/// use densecloud::{Options, cascade::Target, survey::Goal};
+///
+/// let options = Options { goal: Goal::Target(Target::Points(700)), ..Options::default() };
+/// ```
 ///
 /// As text it is a list of names and values ([`Options::parse`], [`Options::pairs`]); with serde, a map of the same
 /// names, to which `format` is added: the media type of [`Options::format`].

@@ -1,7 +1,7 @@
 //! The table of options that every door reads.
 //!
-//! A new option is two edits: its row here (with the field that it sets), and the place where it takes effect. The
-//! command line, queries, forms, tensors, gRPC and jobs take it from the table.
+//! A new option is two edits: its row here (with the field that it sets), and the place where it takes effect
+//! (`provenance.rs` asks for each that decides points or values; tests ask for it in `docs/openapi.json`). The command line, queries, forms, tensors, gRPC and jobs take it from the table.
 
 use std::fmt;
 

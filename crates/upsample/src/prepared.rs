@@ -30,7 +30,7 @@ pub struct Report {
     pub provenance: String,
     /// Points in the input, those that are not finite included.
     pub points_in: u64,
-    /// Points in the result; before the work, as the options ask for them.
+    /// Points in the result; before the work, as the options ask for them, and 0 where the cloud is too bad to tell.
     pub points_out: u64,
     /// What a person should know about how the cloud was read and made dense, a sentence each.
     pub warnings: Vec<String>,
@@ -46,6 +46,16 @@ pub enum PrepareError {
     /// The cloud has more points than indices can tell apart.
     #[error(transparent)]
     TooManyPoints(#[from] TooManyPoints),
+    /// An attribute has not one value for each point.
+    #[error("attribute {name:?} has {values} values for {points} points")]
+    AttributeLength {
+        /// Its name.
+        name: String,
+        /// The values that it has.
+        values: usize,
+        /// The cloud's points.
+        points: usize,
+    },
     /// A rule names an attribute that the cloud does not have.
     #[error(
         "no attribute {name:?}; the input has {}", if known.is_empty() { "none".to_owned() } else { known.join(", ") }
@@ -73,6 +83,11 @@ impl Prepared {
         model: &ModelName,
     ) -> Result<Self, PrepareError> {
         let Options { goal, cascade: settings, finish, format: wanted } = options;
+        let points = cloud.positions.len();
+        if let Some(odd) = cloud.attributes.iter().find(|attribute| attribute.values.len() != points) {
+            let (name, values) = (odd.name.clone(), odd.values.len());
+            return Err(PrepareError::AttributeLength { name, values, points });
+        }
         let names: Vec<&str> = cloud.attributes.iter().map(|a| a.name.as_str()).collect();
         if let Some(name) = finish.rules.unknown(&names).next() {
             let known = names.iter().map(|&name| name.to_owned()).collect();
@@ -158,6 +173,15 @@ mod tests {
             let prepared = prepare(Cloud::from(grid(offset)), &[]).expect("a request");
             let ply = Format::Ply { encoding: PlyEncoding::Ascii, scalar };
             assert_eq!(prepared.report.format, ply, "{offset}");
+        }
+    }
+
+    #[test]
+    fn attributes_have_a_value_for_each_point() {
+        for values in [0, 99, 101] {
+            let attributes = vec![Attribute { name: "red".into(), values: Values::U8(vec![0; values]) }];
+            let why = prepare(Cloud { attributes, ..Cloud::from(grid(0.0)) }, &[]).expect_err("a length");
+            assert_eq!(why.to_string(), format!("attribute \"red\" has {values} values for 100 points"));
         }
     }
 

@@ -3,18 +3,22 @@
 use std::fmt::Write;
 
 use crate::Request;
+use crate::attributes::Finish;
 use densecloud_backends::ModelName;
-use densecloud_cascade::Target;
+use densecloud_cascade::{CascadeOptions, Target};
 use densecloud_cloud::Origin;
 
 /// What begins a line of provenance among a file's comments.
 pub const MARK: &str = "densecloud: ";
 
-/// The line for a request's result: everything that decides its bytes, and nothing else, so that the same
+/// The line for a request's result: everything that decides its points and their values, and nothing else, so that the same
 /// request gives the same file. `NAME=VALUE` with spaces between.
 #[must_use]
 pub fn line(model: &ModelName, request: &Request) -> String {
+    // In full, so that nobody adds an option without deciding whether it belongs here.
     let Request { cloud, target, settings, finish } = request;
+    let CascadeOptions { seed, overlap, inner, max_displacement, max_distance, polish } = settings;
+    let Finish { rules, keep_input, source_fields: _, estimate_normals, sensor } = finish;
     let mut line = format!(
         "{MARK}version={} model={} model_sha256={}",
         env!("CARGO_PKG_VERSION"),
@@ -34,22 +38,22 @@ pub fn line(model: &ModelName, request: &Request) -> String {
         Target::Ratio(ratio) => add("ratio", ratio),
         Target::Points(points) => add("points", points),
     }
-    add("seed", &settings.seed);
-    add("overlap", &settings.overlap);
-    add("inner", &settings.inner);
-    add("max_displacement", &settings.max_displacement);
-    add("max_distance", &settings.max_distance);
-    add("polish", &settings.polish);
-    if finish.keep_input {
+    add("seed", seed);
+    add("overlap", overlap);
+    add("inner", inner);
+    add("max_displacement", max_displacement);
+    add("max_distance", max_distance);
+    add("polish", polish);
+    if *keep_input {
         add("keep_input", &true);
     }
-    if finish.estimate_normals {
+    if *estimate_normals {
         add("normals", &"estimate");
     }
-    if let Some([x, y, z]) = finish.sensor {
+    if let Some([x, y, z]) = sensor {
         add("sensor", &format!("{x},{y},{z}"));
     }
-    let rules = finish.rules.to_string();
+    let rules = rules.to_string();
     if !rules.is_empty() {
         add("attributes", &rules.split_whitespace().collect::<Vec<_>>().join("_"));
     }
@@ -64,8 +68,6 @@ pub fn of(origin: &Origin) -> impl Iterator<Item = &str> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::attributes::Finish;
-    use densecloud_cascade::CascadeOptions;
     use densecloud_cloud::Cloud;
 
     #[test]

@@ -5,7 +5,7 @@ use densecloud_cloud::{Attribute, Cloud, Position};
 
 use crate::attributes::{self, Finish};
 
-/// What a caller wants done, with all that is left open decided: see [`Prepared`](crate::Prepared).
+/// What a caller wants done, with every default filled in: see [`Prepared`](crate::Prepared).
 #[derive(Debug, Clone)]
 pub struct Request {
     /// The cloud, in its own coordinates.
@@ -19,8 +19,8 @@ pub struct Request {
 }
 
 impl Request {
-    /// Work and memory for each point, in multiples of what the default settings take; at least 1. Patches are run in
-    /// proportion to the overlap, and so many of their points are merged as the overlap times the inner share.
+    /// Work and memory for each point, in multiples of what the default settings take; at least 1. The network's
+    /// work grows with the overlap, and the points to merge with the overlap times the inner share; the larger growth counts.
     #[must_use]
     pub fn effort(&self) -> f64 {
         let (usual, CascadeOptions { overlap, inner, .. }) = (CascadeOptions::default(), self.settings);

@@ -90,7 +90,7 @@ impl Upsampler {
         Ok(Self::with_runner(Arc::new(Patchwise::new(Arc::new(backend))), name))
     }
 
-    /// Any runtime; `model` is what provenance calls its weights.
+    /// Runs on `runner` instead of ONNX Runtime. `model` is the name and hash that provenance gives for its weights.
     #[must_use]
     pub fn with_runner(runner: Arc<dyn LevelRunner>, model: ModelName) -> Self {
         Self { runner, model }
@@ -123,17 +123,24 @@ impl Upsampler {
         Ok(Dense { positions: made.positions, attributes: made.attributes, report })
     }
 
-    /// From file to file; the output's extension names its format, where it names one that is written.
+    /// Reads `input`, makes it dense and writes `output`: in the format of the options, else in the one that the extension
+    /// of `output` names, else in the input's.
+    ///
+    /// If writing fails, an incomplete `output` is left behind. A format without comments has no place for provenance, which
+    /// is in the [`Report`] alone then.
     ///
     /// # Errors
-    /// The same. What was written of an output that failed stays.
+    /// The same; [`FormatError::NotWritten`] for an extension such as `.obj`, which is read only.
     pub fn upsample_file(
         &self,
         input: &Path,
         output: &Path,
         mut options: Options,
     ) -> Result<Report, UpsampleError> {
-        options.format = Format::from_extension(output).or(options.format);
+        options.format = options.format.or(Format::from_extension(output));
+        if let Some(format) = options.format.filter(|format| format.written() != *format) {
+            return Err(FormatError::NotWritten(format!("{format} is read only; write PLY (.ply)")).into());
+        }
         let dense = self.upsample(Input::read(input)?, options)?;
         let file = BufWriter::new(File::create(output).map_err(FormatError::from)?);
         dense.write(file)?;
