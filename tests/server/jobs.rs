@@ -431,7 +431,7 @@ fn a_job_that_is_above_a_limit_of_today_fails_and_holds_nobody_up() {
     let large = submit(&server, "ratio=2", &encode(&cloud(2000), PLY));
     let small = submit(&server, "ratio=2", &encode(&cloud(100), PLY));
     server.stop();
-    wait_until("it is draining", || server.get("/readyz").status != 200);
+    wait_until("it is draining", || !server.is_ready());
     backend.open();
     assert!(server.join().is_ok());
     let mut config = config(folder.path());

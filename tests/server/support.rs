@@ -173,6 +173,14 @@ impl Server {
         Client::of(TcpStream::connect(self.address).unwrap())
     }
 
+    /// Whether it says that it is ready; one that is about to end may cut the connection instead.
+    pub(crate) fn is_ready(&self) -> bool {
+        let Ok(stream) = TcpStream::connect(self.address) else { return false };
+        let mut client = Client::of(stream);
+        let request = b"GET /readyz HTTP/1.1\r\nhost: x\r\nconnection: close\r\n\r\n";
+        client.try_send(request) && client.rest().starts_with(b"HTTP/1.1 200 ")
+    }
+
     pub(crate) fn get(&self, path: &str) -> Reply {
         self.ask("GET", path, "", b"")
     }
