@@ -15,6 +15,7 @@ pub struct Frame {
 
 /// Why no frame can be fitted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
 pub enum FrameError {
     /// There is no point, or one is NaN or infinite.
     #[error("the cloud has no finite points")]

@@ -13,6 +13,7 @@ pub struct Mesh {
 
 /// Why a mesh cannot be used.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
 pub enum MeshError {
     /// A triangle names a vertex that is not there.
     #[error("triangle {triangle} names vertex {vertex}, but there are only {vertices} vertices")]

@@ -6,6 +6,7 @@ use densecloud_cloud::Position;
 
 /// Why a mesh cannot be sampled.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
 pub enum SampleError {
     /// The mesh is broken.
     #[error(transparent)]

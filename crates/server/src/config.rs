@@ -75,6 +75,7 @@ pub struct ModelInfo {
 
 /// A setting, or two together, that cannot work.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
 pub enum ConfigError {
     /// Nothing would ever be answered.
     #[error("{setting} is 0, so every request would be refused; give it a positive value")]

@@ -52,6 +52,7 @@ use densecloud_jobs::{Jobs, StoreError};
 
 /// Why a server did not start, or ended by itself.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum ServeError {
     /// The settings cannot work.
     #[error(transparent)]

@@ -30,6 +30,7 @@ impl std::fmt::Debug for Keys {
 
 /// Why a file of keys is not taken.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum KeysError {
     /// It cannot be read.
     #[error(transparent)]

@@ -36,6 +36,7 @@ const MOST: usize = 1000;
 
 /// Why text is no list of rules.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
 pub enum RulesError {
     /// Not a name, a colon and a rule.
     #[error("{0:?} is not NAME:mean, NAME:nearest or NAME:drop")]

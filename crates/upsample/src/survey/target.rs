@@ -27,6 +27,7 @@ pub enum Goal {
 
 /// Why there is no number of points for a wish.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
 pub enum GoalError {
     /// Not a positive number.
     #[error("{what} {value} is not a positive number")]
