@@ -2,14 +2,19 @@
 //! which all geometry is computed.
 
 mod attribute;
+mod axes;
 mod extra;
 mod frame;
+mod name;
 mod origin;
+mod role;
 
 pub use attribute::{Attribute, Kind, Values, bytes_a_point};
+pub use axes::{AmbiguousAxes, Axes, axes_of};
 pub use extra::{Extra, FormatExtra};
 pub use frame::{Frame, FrameError};
 pub use origin::{Column, Crs, Origin, Table};
+pub use role::{Role, column_of, roles_of};
 
 /// A position in the local [`Frame`]: `f32`, within about [-1, 1] on each axis.
 pub type Point = [f32; 3];
