@@ -79,6 +79,7 @@ const FAMILIES: &[&[Family]] = &[
         ]),
         family([&["cartesianx"], &["cartesiany"], &["cartesianz"]]),
         family([&["px"], &["py"], &["pz"]]),
+        family([&["xutm", "utmx"], &["yutm", "utmy"], &["zutm", "utmz", "z"]]),
     ],
     &[family([&["x"], &["y"], &["elevation", "elev", "height", "altitude", "alt", "höhe", "hoehe"]])],
     &[
@@ -153,6 +154,8 @@ mod tests {
             ("Point,Northing,Easting,Elevation,Description", [2, 1, 3]),
             ("Rechtswert,Hochwert,Höhe", [0, 1, 2]),
             ("name,E,N,H", [1, 2, 3]),
+            ("Easting (X),Northing (Y),Elevation (Z)", [0, 1, 2]),
+            ("UTM_X,UTM_Y,Z", [0, 1, 2]),
             ("easting_m,northing_m,height_m", [0, 1, 2]),
             ("lat,lon,alt", [1, 0, 2]),
             ("Longitude,Latitude,Height (m)", [0, 1, 2]),

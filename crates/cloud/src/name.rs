@@ -1,12 +1,9 @@
 //! A column's name without what programs put about it.
 
-/// A name in comparable form: words in lower case.
+/// A name in comparable forms.
 pub(crate) struct Name {
-    words: Vec<String>,
-    /// How many words at the beginning are a program's own.
-    prefix: usize,
-    /// How many words at the end are a unit.
-    unit: usize,
+    /// What it may be looked up as, in this order: in lower case, without separators.
+    keys: Vec<String>,
 }
 
 /// Words that programs put before every name, or every name of a kind.
@@ -33,43 +30,57 @@ const UNITS: [&str; 26] = [
 ];
 
 impl Name {
+    /// Whole, without unit, without prefix, and without both; then the same without what stands in brackets at its end.
+    /// Only the number or the letter of a component counts there: not `m` in `X (m)`.
     pub(crate) fn of(name: &str) -> Self {
-        let name = without_remark(name).to_lowercase();
-        let words = name.split(|c: char| !c.is_alphanumeric()).filter(|word| !word.is_empty());
-        let words: Vec<String> = words.map(str::to_owned).collect();
-        let last = words.len().saturating_sub(1);
-        let prefix = words.iter().take(last).take_while(|word| PREFIXES.contains(&word.as_str())).count();
-        let is_unit = |word: &&String| UNITS.contains(&word.as_str());
-        let unit = usize::from(last > prefix && words.last().filter(is_unit).is_some());
-        Self { words, prefix, unit }
+        let name = name.trim().trim_matches(['"', '\'']).trim_end().to_lowercase();
+        let mut keys = Vec::new();
+        match split_remark(&name) {
+            Some((before, remark)) => {
+                if remark.parse::<u16>().is_ok() || ["x", "y", "z"].contains(&remark) {
+                    add_keys(&name, &mut keys);
+                }
+                add_keys(before, &mut keys);
+            }
+            None => add_keys(&name, &mut keys),
+        }
+        Self { keys }
     }
 
-    /// What it may be looked up as: whole, without unit, without prefix, and without both.
-    pub(crate) fn keys(&self) -> impl Iterator<Item = String> {
-        let count = self.words.len();
-        let whole = (0..count, 0..count - self.unit.min(count));
-        let ranges = [whole.0, whole.1, self.prefix..count, self.prefix..count - self.unit.min(count)];
-        ranges.into_iter().map(|range| self.words[range].concat())
+    /// What it may be looked up as, the likeliest first.
+    pub(crate) fn keys(&self) -> impl Iterator<Item = &str> {
+        self.keys.iter().map(String::as_str)
     }
 
     /// Whether it may be looked up as this.
     pub(crate) fn is(&self, key: &str) -> bool {
-        self.keys().any(|own| own == key)
+        self.keys.iter().any(|own| own == key)
     }
 }
 
-/// The name without what stands in brackets at its end, unless this is the number or the letter of a component.
-fn without_remark(name: &str) -> &str {
-    let name = name.trim().trim_matches(['"', '\'']).trim_end();
-    let open = match name.chars().next_back() {
-        Some(')') => '(',
-        Some(']') => '[',
-        _ => return name,
+fn add_keys(name: &str, keys: &mut Vec<String>) {
+    let words: Vec<&str> =
+        name.split(|c: char| !c.is_alphanumeric()).filter(|word| !word.is_empty()).collect();
+    let count = words.len();
+    let prefix =
+        words.iter().take(count.saturating_sub(1)).take_while(|word| PREFIXES.contains(word)).count();
+    let unit = usize::from(count > prefix + 1 && words.last().is_some_and(|word| UNITS.contains(word)));
+    for range in [0..count, 0..count - unit, prefix..count, prefix..count - unit] {
+        let key = words[range].concat();
+        if !keys.contains(&key) {
+            keys.push(key);
+        }
+    }
+}
+
+/// What stands before the brackets at a name's end, and in them.
+fn split_remark(name: &str) -> Option<(&str, &str)> {
+    let (open, inner) = match name.strip_suffix(')') {
+        Some(inner) => ('(', inner),
+        None => ('[', name.strip_suffix(']')?),
     };
-    let Some(from) = name.rfind(open) else { return name };
-    let remark = name[from + 1..name.len() - 1].trim();
-    let is_component = remark.parse::<u16>().is_ok() || ["x", "y", "z", "X", "Y", "Z"].contains(&remark);
-    if is_component || from == 0 { name } else { &name[..from] }
+    let (before, remark) = inner.rsplit_once(open)?;
+    (!before.trim().is_empty()).then_some((before, remark.trim()))
 }
 
 #[cfg(test)]
@@ -78,17 +89,19 @@ mod tests {
 
     #[test]
     fn a_name_is_looked_up_whole_first_and_then_without_what_is_about_it() {
-        let keys = |name: &str| Name::of(name).keys().collect::<Vec<_>>();
-        assert_eq!(keys("scalar_Gps-Time [s]"), ["scalargpstime", "scalargpstime", "gpstime", "gpstime"]);
+        let keys = |name: &str| Name::of(name).keys;
+        assert_eq!(keys("scalar_Gps-Time [s]"), ["scalargpstime", "gpstime"]);
         assert_eq!(keys("vertex.x_m"), ["vertexxm", "vertexx", "xm", "x"]);
-        assert_eq!(keys("point_id"), ["pointid", "pointid", "id", "id"]);
-        assert_eq!(keys("normals[0]"), ["normals0"; 4]);
-        assert_eq!(keys("scalar"), ["scalar"; 4]);
-        assert_eq!(keys("m"), ["m"; 4]);
-        assert_eq!(keys("[m]"), ["m"; 4]);
-        assert_eq!(keys(""), [""; 4]);
-        assert_eq!(keys("ring)"), ["ring"; 4]);
-        assert_eq!(keys("\u{feff}\"X\" "), ["x"; 4]);
+        assert_eq!(keys("point_id"), ["pointid", "id"]);
+        assert_eq!(keys("normals[0]"), ["normals0", "normals"]);
+        assert_eq!(keys("Easting (X)"), ["eastingx", "easting"]);
+        assert_eq!(keys("X (Easting)"), ["x"]);
+        assert_eq!(keys("scalar"), ["scalar"]);
+        assert_eq!(keys("m"), ["m"]);
+        assert_eq!(keys("[m]"), ["m"]);
+        assert_eq!(keys(""), [""]);
+        assert_eq!(keys("ring)"), ["ring"]);
+        assert_eq!(keys("\u{feff}\"X\" "), ["x"]);
         assert!(Name::of("scalar_R").is("r") && !Name::of("scalar_R").is("g"));
     }
 }

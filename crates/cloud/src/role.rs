@@ -136,7 +136,7 @@ const TABLE: &[Row] = &[
     (Role::Z, "z", &[
         "elevation", "elev", "height", "altitude", "alt", "höhe", "hoehe", "zcoord", "coordz", "zcoordinate",
         "coordinatez", "posz", "positionz", "points2", "pointsz", "pointsmxyz2", "cartesianz", "ellipsoidalheight",
-        "orthometricheight", "heightaboveground", "hag",
+        "orthometricheight",
     ]),
     (Role::Red, "red", &["diffusered", "colorred", "colourred", "colorr", "rgb0", "rgba0", "rgbr", "colors0", "color0", "colorsr", "rgbred"]),
     (Role::Green, "green", &["diffusegreen", "colorgreen", "colourgreen", "colorg", "rgb1", "rgba1", "rgbg", "colors1", "color1", "colorsg", "rgbgreen"]),
@@ -154,7 +154,7 @@ const TABLE: &[Row] = &[
     (Role::Range, "range", &["distance", "ranges"]),
     (Role::Classification, "classification", &["class", "classid", "classes", "rawclassification", "lasclassification", "classificationid", "classcode"]),
     (Role::Label, "label", &[
-        "labels", "semantic", "semanticlabel", "semanticid", "segment", "segmentid", "segmentation", "cluster",
+        "labels", "sem", "semantics", "semantic", "semanticlabel", "semanticid", "segment", "segmentid", "segmentation", "cluster",
         "clusterid", "instance", "instanceid", "instancelabel", "category", "labelid", "objectid", "treeid",
     ]),
     (Role::ReturnNumber, "return_number", &[
@@ -228,7 +228,7 @@ impl Role {
     /// alone, but for those of coordinates and normals: see [`roles_of`].
     #[must_use]
     pub fn of(name: &str) -> Option<Self> {
-        Name::of(name).keys().find_map(|key| Self::of_key(&key))
+        Name::of(name).keys().find_map(Self::of_key)
     }
 
     /// What this program calls it, and LAS's fields, too, where there is one. Of [`Role::Harmonic`], whose columns are
@@ -236,6 +236,17 @@ impl Role {
     #[must_use]
     pub fn name(self) -> &'static str {
         TABLE.iter().find(|(role, ..)| *role == self).map_or("", |(_, name, _)| name)
+    }
+
+    /// All roles, in the order of the table in `docs/attributes.md`.
+    pub fn all() -> impl Iterator<Item = Self> {
+        TABLE.iter().map(|(role, ..)| *role)
+    }
+
+    /// Other names that it is known by: in lower case, without separators, units and prefixes.
+    #[must_use]
+    pub fn others(self) -> &'static [&'static str] {
+        TABLE.iter().find(|(role, ..)| *role == self).map_or(&[], |(.., others)| others)
     }
 
     fn of_key(key: &str) -> Option<Self> {
@@ -259,8 +270,7 @@ fn is_spelt(name: &str, key: &str) -> bool {
 #[must_use]
 pub fn roles_of<S: AsRef<str>>(names: &[S]) -> Vec<Option<Role>> {
     let names: Vec<Name> = names.iter().map(|name| Name::of(name.as_ref())).collect();
-    let mut roles: Vec<Option<Role>> =
-        names.iter().map(|name| name.keys().find_map(|key| Role::of_key(&key))).collect();
+    let mut roles: Vec<Option<Role>> = names.iter().map(|name| name.keys().find_map(Role::of_key)).collect();
     for company in COMPANIES {
         let places = company.map(|(short, _)| names.iter().position(|name| name.is(short)));
         let [Some(first), Some(second), Some(third)] = places else { continue };
