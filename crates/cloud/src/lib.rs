@@ -32,6 +32,9 @@ pub struct Cloud {
     pub attributes: Vec<Attribute>,
     /// Names of what the reader saw and did not keep (lists, text, arrays), in the file's order.
     pub dropped_properties: Vec<String>,
+    /// What else a person should know about how it was read, a sentence each: a count that is off, names that were
+    /// changed, points that were left out.
+    pub notes: Vec<String>,
     /// What else the file tells of the whole.
     pub origin: Origin,
 }
@@ -47,9 +50,10 @@ impl Cloud {
     /// What a person should know about what was read, a sentence each.
     #[must_use]
     pub fn warnings(&self) -> Vec<String> {
-        if self.dropped_properties.is_empty() {
-            return Vec::new();
+        let mut warnings = self.notes.clone();
+        if !self.dropped_properties.is_empty() {
+            warnings.push(format!("not read: {}", self.dropped_properties.join(", ")));
         }
-        vec![format!("not read: {}", self.dropped_properties.join(", "))]
+        warnings
     }
 }

@@ -6,7 +6,7 @@ use std::io::Write;
 
 use super::reader::Points;
 use super::source::Source;
-use super::{Format, FormatError, Header, Limits, Scalar, writer};
+use super::{Format, FormatError, Header, Limits, Reading, Scalar, writer};
 use densecloud_cloud::{Attribute, Origin, Position};
 
 /// A format, whatever the choices within it: how its files are named, recognised and opened. The type that
@@ -14,6 +14,13 @@ use densecloud_cloud::{Attribute, Origin, Position};
 pub(crate) trait Kind: Choices + Copy + 'static {
     /// How its files are told from those of others.
     const MARK: Mark;
+
+    /// The names by which a person asks for it as a file's format ([`Reading::format`]).
+    const NAMES: &'static [&'static str];
+
+    /// The options of [`Reading`] that say how its files are read, by their names on the command line; a warning tells of
+    /// others.
+    const HEEDS: &'static [&'static str] = &[];
 
     /// What its files begin with, for people; none for text, which begins with points.
     const BEGINNING: Option<&'static str>;
@@ -35,7 +42,7 @@ pub(crate) trait Kind: Choices + Copy + 'static {
     ///
     /// # Errors
     /// The header is malformed, or what it claims is over a limit.
-    fn open(source: &mut Source<'_>, limits: Limits) -> Result<Opened, FormatError>;
+    fn open(source: &mut Source<'_>, limits: Limits, reading: &Reading) -> Result<Opened, FormatError>;
 }
 
 /// How files of a format are recognised by their first bytes, up to 4096 of them.

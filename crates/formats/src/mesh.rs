@@ -28,7 +28,7 @@ pub fn read_mesh_file(path: &Path) -> Result<Mesh, FormatError> {
 /// The content is neither, is malformed, has a triangle with a NaN or infinite corner, refers to a
 /// vertex that is not there, or holds no triangle.
 pub fn read_mesh<R: Read>(reader: R) -> Result<Mesh, FormatError> {
-    let mut source = Source::new(Input::Stream(Box::new(reader)), Limits::default())?;
+    let mut source = Source::new(Input::Stream(Box::new(reader)), Limits::default(), false)?;
     let head = source.peek(4096)?;
     if head.starts_with(b"ply") {
         return ply::read_mesh(&mut source);

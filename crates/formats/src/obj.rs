@@ -8,7 +8,7 @@ use super::ply::Ply;
 use super::reader::{Block, ColumnName, Ending, Points};
 use super::source::Source;
 use super::text::{next_token, parse_f64, shown};
-use super::{Format, FormatError, Header, Limits};
+use super::{Format, FormatError, Header, Limits, Reading};
 use densecloud_cloud::{Attribute, Kind, Origin, Values};
 
 /// What a line before the first vertex may begin with.
@@ -42,6 +42,7 @@ pub(crate) struct Obj;
 
 impl kind::Kind for Obj {
     const MARK: Mark = Mark::Lines(is_obj);
+    const NAMES: &'static [&'static str] = &["obj"];
     const BEGINNING: Option<&'static str> = Some("lines such as `v 1 2 3`");
     const MEDIA_TYPES: &'static [&'static str] = &[];
 
@@ -53,7 +54,7 @@ impl kind::Kind for Obj {
         None
     }
 
-    fn open(_source: &mut Source<'_>, limits: Limits) -> Result<Opened, FormatError> {
+    fn open(_source: &mut Source<'_>, limits: Limits, _reading: &Reading) -> Result<Opened, FormatError> {
         let (attributes, dropped_properties) = (Vec::new(), Vec::new());
         let header = Header { format: Format::Obj, points: None, attributes, dropped_properties };
         Ok(Opened { header, points: Box::new(ObjPoints { limits, ending: None }) })

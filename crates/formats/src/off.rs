@@ -10,7 +10,7 @@ use super::ply::Ply;
 use super::reader::{Block, Ending, Points};
 use super::source::Source;
 use super::text::{next_token, parse_f64, shown, strip_comment};
-use super::{Format, FormatError, Header, Limits, Place};
+use super::{Format, FormatError, Header, Limits, Place, Reading};
 use densecloud_cloud::{Attribute, Origin, Position};
 use densecloud_geometry::Mesh;
 
@@ -23,6 +23,7 @@ impl Kind for Off {
         let mut lines = head.split(|b| matches!(b, b'\n' | b'\r'));
         lines.find_map(|line| next_token(&mut strip_comment(line))).is_some_and(is_keyword)
     });
+    const NAMES: &'static [&'static str] = &["off"];
     const BEGINNING: Option<&'static str> = Some("`OFF`");
     const MEDIA_TYPES: &'static [&'static str] = &[];
 
@@ -34,7 +35,7 @@ impl Kind for Off {
         None
     }
 
-    fn open(source: &mut Source<'_>, limits: Limits) -> Result<Opened, FormatError> {
+    fn open(source: &mut Source<'_>, limits: Limits, _reading: &Reading) -> Result<Opened, FormatError> {
         let (points, header) = OffHeader::open(source, limits)?;
         Ok(Opened { header, points: Box::new(points) })
     }

@@ -10,7 +10,7 @@ use super::kind::Opened;
 use super::registry::{self, Found};
 use super::source::{Input, Source};
 use super::text::shown;
-use super::{Format, FormatError, Header, Limits};
+use super::{Format, FormatError, Header, Limits, Reading};
 use densecloud_cloud::{Attribute, Cloud, Kind, Origin, Position, Values};
 
 /// Points that are read at a time where nobody says how many.
@@ -38,6 +38,8 @@ pub struct CloudReader<'r> {
     source: Source<'r>,
     header: Header,
     points: Box<dyn Points>,
+    /// Options of reading that say nothing to this format.
+    unheeded: Vec<&'static str>,
     /// Points given so far.
     given: u64,
 }
@@ -60,6 +62,8 @@ pub struct Ending {
     pub columns: Vec<Option<ColumnName>>,
     /// As [`Cloud::dropped_properties`].
     pub dropped_properties: Vec<String>,
+    /// As [`Cloud::notes`].
+    pub notes: Vec<String>,
     /// What the file tells of the whole, its hash among it.
     pub origin: Origin,
 }
@@ -85,7 +89,7 @@ impl Ending {
             }
         });
         let columns = columns.collect();
-        Self { columns, dropped_properties, origin: Origin::default() }
+        Self { columns, dropped_properties, notes: Vec::new(), origin: Origin::default() }
     }
 }
 
@@ -106,12 +110,21 @@ pub(crate) trait Points {
 }
 
 impl<'r> CloudReader<'r> {
-    /// Recognises the format by its content and reads its header (for text: up to the first point).
+    /// Recognises the format by its content and reads its header (for text: the first thousand lines, which decide how
+    /// the others are read).
     ///
     /// # Errors
     /// The format is none of ours, the header is malformed, or what it claims is over a limit.
     pub fn open(reader: impl Read + 'r, limits: Limits) -> Result<Self, FormatError> {
-        Self::open_as(Input::Stream(Box::new(reader)), limits, None)
+        Self::open_as(reader, limits, &Reading::default())
+    }
+
+    /// As [`open`](Self::open), in the way that a person asks for.
+    ///
+    /// # Errors
+    /// As [`open`](Self::open), or the file is not what `reading` says.
+    pub fn open_as(reader: impl Read + 'r, limits: Limits, reading: &Reading) -> Result<Self, FormatError> {
+        Self::open_input(Input::Stream(Box::new(reader)), limits, reading, None)
     }
 
     /// As [`open`](Self::open) of a file. What must be sought in is read from where it lies, and not copied first.
@@ -119,20 +132,42 @@ impl<'r> CloudReader<'r> {
     /// # Errors
     /// As [`open`](Self::open).
     pub fn open_file(file: File, limits: Limits) -> Result<Self, FormatError> {
-        Self::open_as(Input::of_file(file)?, limits, None)
+        Self::open_file_as(file, limits, &Reading::default())
     }
 
-    /// As [`open`](Self::open); `expected` is the format that the file's name tells. Content wins, but
+    /// As [`open_file`](Self::open_file), in the way that a person asks for.
+    ///
+    /// # Errors
+    /// As [`open_as`](Self::open_as).
+    pub fn open_file_as(file: File, limits: Limits, reading: &Reading) -> Result<Self, FormatError> {
+        Self::open_input(Input::of_file(file)?, limits, reading, None)
+    }
+
+    /// As [`open_as`](Self::open_as); `expected` is the format that the file's name tells. Content wins, but
     /// text under the name of another format is refused rather than taken for points.
-    fn open_as(input: Input<'r>, limits: Limits, expected: Option<Format>) -> Result<Self, FormatError> {
-        let mut source = Source::new(input, limits)?;
-        let found = recognise(source.peek(ENOUGH)?)?;
-        if let (true, Some(begins)) = (found.is_bare, expected.and_then(Format::beginning)) {
-            let found = format!("text that does not begin with {begins}");
-            return Err(FormatError::Unrecognised { found });
-        }
-        let Opened { header, points } = (found.open)(&mut source, limits)?;
-        Ok(Self { source, header, points, given: 0 })
+    fn open_input(
+        input: Input<'r>,
+        limits: Limits,
+        reading: &Reading,
+        expected: Option<Format>,
+    ) -> Result<Self, FormatError> {
+        let asked = reading.format.and_then(|format| registry::by_name(format.name()));
+        // Numbers in binary may begin like UTF-16.
+        let transcode = asked.as_ref().is_none_or(|found| found.is_text);
+        let mut source = Source::new(input, limits, transcode)?;
+        let found = match asked {
+            Some(found) => found,
+            None => {
+                let found = recognise(source.peek(ENOUGH)?)?;
+                if let (true, Some(begins)) = (found.is_bare, expected.and_then(Format::beginning)) {
+                    let found = format!("text that does not begin with {begins}");
+                    return Err(FormatError::Unrecognised { found });
+                }
+                found
+            }
+        };
+        let Opened { header, points } = (found.open)(&mut source, limits, reading)?;
+        Ok(Self { source, header, points, unheeded: reading.unheeded(found.heeds), given: 0 })
     }
 
     /// What is known before the points are read.
@@ -169,6 +204,12 @@ impl<'r> CloudReader<'r> {
         let mut dropped = self.header.dropped_properties;
         dropped.append(&mut ending.dropped_properties);
         ending.dropped_properties = dropped;
+        if !self.unheeded.is_empty() {
+            let options = self.unheeded.join(", ");
+            ending
+                .notes
+                .push(format!("{options}: for text; this is {}, and tells its own", self.header.format));
+        }
         ending.origin.sha256 = Some(self.source.sha256()?);
         Ok(ending)
     }
@@ -189,13 +230,13 @@ impl<'r> CloudReader<'r> {
             }
         }
         self.given = all.positions.len() as u64;
-        let Ending { columns, dropped_properties, origin } = self.finish()?;
+        let Ending { columns, dropped_properties, notes, origin } = self.finish()?;
         let attribute = |(values, column): (Values, Option<ColumnName>)| {
             let ColumnName { name, kind } = column?;
             Some(Attribute { name, values: narrowed(values, kind) })
         };
         let attributes = all.columns.into_iter().zip(columns).filter_map(attribute).collect();
-        Ok(Cloud { positions: all.positions, attributes, dropped_properties, origin })
+        Ok(Cloud { positions: all.positions, attributes, dropped_properties, notes, origin })
     }
 }
 
@@ -214,15 +255,23 @@ fn narrowed(values: Values, kind: Kind) -> Values {
 /// # Errors
 /// As [`CloudReader::open`] and [`CloudReader::read`], or the file cannot be opened.
 pub fn read_cloud_file(path: &Path) -> Result<(Cloud, Header), FormatError> {
+    read_cloud_file_as(path, &Reading::default())
+}
+
+/// As [`read_cloud_file`], in the way that a person asks for.
+///
+/// # Errors
+/// As [`read_cloud_file`], or the file is not what `reading` says.
+pub fn read_cloud_file_as(path: &Path, reading: &Reading) -> Result<(Cloud, Header), FormatError> {
     let expected = Format::from_extension(path);
-    let reader = CloudReader::open_as(Input::of_file(File::open(path)?)?, Limits::default(), expected)?;
+    let input = Input::of_file(File::open(path)?)?;
+    let reader = CloudReader::open_input(input, Limits::default(), reading, expected)?;
     let header = reader.header.clone();
     Ok((reader.read()?, header))
 }
 
 /// First bytes of formats that people will try, to name them in the refusal.
-const KNOWN: [(&[u8], &str); 6] = [
-    (b"\x1F\x8B", "a gzip file"),
+const KNOWN: [(&[u8], &str); 5] = [
     (b"\x28\xB5\x2F\xFD", "a Zstandard file"),
     (b"PK\x03\x04", "a ZIP file (an .npz is one; unpack it)"),
     (b"glTF", "a glTF mesh"),

@@ -5,7 +5,8 @@
 use super::kind::{Choices, Kind, Mark, Opened};
 use super::source::Source;
 use super::{
-    FormatError, Limits, PcdEncoding, PlyEncoding, Scalar, Separator, e57, las, npy, obj, off, pcd, ply, xyz,
+    FormatError, Limits, PcdEncoding, PlyEncoding, Reading, Scalar, Separator, e57, las, npy, obj, off, pcd,
+    ply, xyz,
 };
 
 /// Declares [`Format`] and the ways from it to the formats' modules.
@@ -94,11 +95,13 @@ formats! {
 }
 
 /// How a file is opened once its format is known.
-pub(crate) type Open = fn(&mut Source<'_>, Limits) -> Result<Opened, FormatError>;
+pub(crate) type Open = fn(&mut Source<'_>, Limits, &Reading) -> Result<Opened, FormatError>;
 
 /// A [`Kind`] as a value.
 struct Registered {
     mark: Mark,
+    names: &'static [&'static str],
+    heeds: &'static [&'static str],
     media_types: &'static [&'static str],
     from_extension: fn(&str) -> Option<Format>,
     from_media_type: fn(&str) -> Option<Format>,
@@ -115,6 +118,8 @@ impl Registered {
     {
         Self {
             mark: K::MARK,
+            names: K::NAMES,
+            heeds: K::HEEDS,
             media_types: K::MEDIA_TYPES,
             from_extension: |extension| K::from_extension(extension).map(Format::from),
             from_media_type: |media_type| K::from_media_type(media_type).map(Format::from),
@@ -142,44 +147,74 @@ pub(crate) struct Found {
     pub(crate) is_bare: bool,
     /// The word that ends its header, if the header must be whole to be judged.
     pub(crate) header_end: Option<&'static [u8]>,
+    /// Whether it is text from its beginning on.
+    pub(crate) is_text: bool,
+    /// The options of [`Reading`] that say how it is read.
+    pub(crate) heeds: &'static [&'static str],
 }
 
 /// The format whose bytes a file begins with.
 pub(crate) fn by_bytes(head: &[u8]) -> Option<Found> {
-    find(|mark| matches!(mark, Mark::Bytes(fits) if fits(head)))
+    find(|kind| matches!(kind.mark, Mark::Bytes(fits) if fits(head)))
 }
 
 /// The format whose lines a text begins with.
 pub(crate) fn by_lines(head: &[u8]) -> Option<Found> {
-    find(|mark| matches!(mark, Mark::Lines(fits) if fits(head)))
+    find(|kind| matches!(kind.mark, Mark::Lines(fits) if fits(head)))
 }
 
-fn find(fits: impl Fn(&Mark) -> bool) -> Option<Found> {
-    let kind = KINDS.iter().find(|kind| fits(&kind.mark))?;
-    Some(Found { open: kind.open, is_bare: kind.is_bare, header_end: kind.header_end })
+/// The format that has this name.
+pub(crate) fn by_name(name: &str) -> Option<Found> {
+    find(|kind| kind.names.contains(&name))
 }
 
-const MEDIA_TYPE_COUNT: usize = {
-    let (mut count, mut i) = (0, 0);
-    while i < KINDS.len() {
-        count += KINDS[i].media_types.len();
-        i += 1;
-    }
-    count
-};
+fn find(fits: impl Fn(&Registered) -> bool) -> Option<Found> {
+    let kind = KINDS.iter().find(|kind| fits(kind))?;
+    Some(Found {
+        open: kind.open,
+        is_bare: kind.is_bare,
+        header_end: kind.header_end,
+        is_text: matches!(kind.mark, Mark::Lines(_)),
+        heeds: kind.heeds,
+    })
+}
 
-/// The media types of all formats that are written, in the registry's order.
-pub(crate) const MEDIA_TYPES: [&str; MEDIA_TYPE_COUNT] = {
-    let mut all = [""; MEDIA_TYPE_COUNT];
-    let (mut next, mut i) = (0, 0);
-    while i < KINDS.len() {
-        let mut j = 0;
-        while j < KINDS[i].media_types.len() {
-            all[next] = KINDS[i].media_types[j];
-            next += 1;
-            j += 1;
-        }
-        i += 1;
-    }
-    all
-};
+/// Declares a list of what all formats have in one field, in the registry's order.
+macro_rules! gathered {
+    ($(#[$doc:meta])* $all:ident, $count:ident, $field:ident) => {
+        const $count: usize = {
+            let (mut count, mut i) = (0, 0);
+            while i < KINDS.len() {
+                count += KINDS[i].$field.len();
+                i += 1;
+            }
+            count
+        };
+
+        $(#[$doc])*
+        pub(crate) const $all: [&str; $count] = {
+            let mut all = [""; $count];
+            let (mut next, mut i) = (0, 0);
+            while i < KINDS.len() {
+                let mut j = 0;
+                while j < KINDS[i].$field.len() {
+                    all[next] = KINDS[i].$field[j];
+                    next += 1;
+                    j += 1;
+                }
+                i += 1;
+            }
+            all
+        };
+    };
+}
+
+gathered! {
+    /// The media types of all formats that are written.
+    MEDIA_TYPES, MEDIA_TYPE_COUNT, media_types
+}
+
+gathered! {
+    /// The names of all formats.
+    NAMES, NAME_COUNT, names
+}

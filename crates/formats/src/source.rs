@@ -1,11 +1,10 @@
 //! The buffered bytes behind every reader: lines and blocks without copying, with a byte limit.
 
 use std::fs::File;
-use std::io::{self, ErrorKind, Read, Seek, Write};
+use std::io::{self, Read, Seek, Write};
 use std::ops::Range;
 
-use sha2::{Digest, Sha256};
-
+use super::layers::Layers;
 use super::spool::Spool;
 use super::{FormatError, Limits, Place};
 
@@ -48,32 +47,30 @@ impl Read for Input<'_> {
 /// A `BufReader` is not enough: sniffing needs to see further than the first bytes that a socket
 /// delivers, and rows and lines that straddle two blocks should not need a copy of their own.
 pub(super) struct Source<'r> {
-    input: Input<'r>,
+    layers: Layers<'r>,
     buffer: Vec<u8>,
     start: usize,
     end: usize,
     ended: bool,
-    pulled: u64,
-    max_bytes: Option<u64>,
+    /// Bytes that came into the buffer, without what lay about them.
+    filled: u64,
     line: u64,
     newline: u8,
-    hash: Sha256,
 }
 
 impl<'r> Source<'r> {
-    /// Skips a UTF-8 byte order mark and finds out what ends a line.
-    pub(super) fn new(input: Input<'r>, limits: Limits) -> Result<Self, FormatError> {
+    /// Takes off what lies about the bytes (of UTF-16 only where `transcode` allows it), skips a UTF-8 byte order mark and
+    /// finds out what ends a line.
+    pub(super) fn new(input: Input<'r>, limits: Limits, transcode: bool) -> Result<Self, FormatError> {
         let mut source = Self {
-            input,
+            layers: Layers::new(input, limits, transcode)?,
             buffer: vec![0; BLOCK],
             start: 0,
             end: 0,
             ended: false,
-            pulled: 0,
-            max_bytes: limits.max_bytes,
+            filled: 0,
             line: 0,
             newline: b'\n',
-            hash: Sha256::new(),
         };
         if source.peek(3)? == BOM {
             source.consume(3);
@@ -126,11 +123,11 @@ impl<'r> Source<'r> {
 
     /// Consumes all that is left, to be sought in: a file as it lies, anything else as a copy.
     pub(super) fn stored(&mut self) -> Result<Spool, FormatError> {
-        if let (Place::Byte(0), Input::File(file)) = (self.offset(), &self.input) {
+        if let (Place::Byte(0), Some(file)) = (self.offset(), self.layers.file()) {
             let file = file.try_clone()?;
             self.drain()?;
             // The bytes that the hash is of, even if the file has grown since.
-            return Ok(Spool::of_file(file, self.pulled));
+            return Ok(Spool::of_file(file, self.layers.pulled()));
         }
         let mut spool = Spool::new();
         while self.ensure(1)? {
@@ -196,9 +193,15 @@ impl<'r> Source<'r> {
         Place::Line(self.line)
     }
 
+    /// The number of the line last read, from 1.
+    #[expect(dead_code, reason = "the reader of text will ask")]
+    pub(super) fn line_number(&self) -> u64 {
+        self.line
+    }
+
     /// The offset of the next byte.
     pub(super) fn offset(&self) -> Place {
-        Place::Byte(self.pulled - (self.end - self.start) as u64)
+        Place::Byte(self.filled - (self.end - self.start) as u64)
     }
 
     /// Reads to the end and refuses anything but padding (white space, NUL, Ctrl-Z): whatever else
@@ -231,7 +234,7 @@ impl<'r> Source<'r> {
     /// SHA-256 over all bytes of the data, those after what was consumed among them.
     pub(super) fn sha256(mut self) -> Result<[u8; 32], FormatError> {
         self.drain()?;
-        Ok(self.hash.finalize().into())
+        Ok(self.layers.sha256())
     }
 
     /// Reads once more; 0 at the end of the data.
@@ -250,29 +253,18 @@ impl<'r> Source<'r> {
                 self.buffer.resize(self.buffer.len() * 2, 0);
             }
         }
-        let mut room = self.buffer.len() - self.end;
-        if let Some(max) = self.max_bytes {
-            // One byte more than allowed tells a file at the limit from one beyond it.
-            let left = (max - self.pulled).saturating_add(1);
-            room = room.min(usize::try_from(left).unwrap_or(usize::MAX));
-        }
-        let got = loop {
-            match self.input.read(&mut self.buffer[self.end..self.end + room]) {
-                Err(e) if e.kind() == ErrorKind::Interrupted => {}
-                other => break other?,
+        match self.layers.read(&mut self.buffer[self.end..]) {
+            Ok(got) => {
+                self.end += got;
+                self.ended = got == 0;
+                self.filled += got as u64;
+                Ok(got)
             }
-        };
-        self.hash.update(&self.buffer[self.end..self.end + got]);
-        self.end += got;
-        self.ended = got == 0;
-        self.pulled += got as u64;
-        match self.max_bytes {
-            Some(limit) if self.pulled > limit => {
-                // Later calls must not take the excess for data.
+            Err(error) => {
+                // Later calls must not take an excess for data.
                 self.ended = true;
-                Err(FormatError::TooLarge { bytes: self.pulled, limit })
+                Err(error)
             }
-            _ => Ok(got),
         }
     }
 }

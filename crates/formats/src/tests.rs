@@ -5,6 +5,7 @@ mod broken;
 mod e57_files;
 mod findings;
 mod las_files;
+mod layers;
 mod mesh_clouds;
 mod meshes;
 mod npy_files;

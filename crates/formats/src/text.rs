@@ -79,6 +79,49 @@ pub(super) fn next_field<'a>(line: &mut &'a [u8]) -> Option<&'a [u8]> {
     Some(field)
 }
 
+/// The fields of a line as CSV has them: one in quotes may hold the separator, and quotes twice for each. None where quotes
+/// are not closed, or something stands behind them.
+pub(super) fn split_quoted(line: &str, separator: char) -> Option<Vec<String>> {
+    let mut fields = Vec::new();
+    let mut rest = line;
+    loop {
+        let begun = rest.trim_start_matches(|c: char| c != separator && c.is_whitespace());
+        let (field, after) = match begun.strip_prefix('"') {
+            Some(quoted) => {
+                let (field, after) = closed(quoted)?;
+                (field, after.trim_start_matches(|c: char| c != separator && c.is_whitespace()))
+            }
+            None => {
+                let end = rest.find(separator).unwrap_or(rest.len());
+                (rest[..end].to_owned(), &rest[end..])
+            }
+        };
+        fields.push(field);
+        match after.strip_prefix(separator) {
+            Some(next) => rest = next,
+            None if after.is_empty() => return Some(fields),
+            None => return None,
+        }
+    }
+}
+
+/// What stands up to the closing quote, and what stands behind it.
+fn closed(quoted: &str) -> Option<(String, &str)> {
+    let (mut field, mut rest) = (String::new(), quoted);
+    loop {
+        let end = rest.find('"')?;
+        field.push_str(&rest[..end]);
+        rest = &rest[end + 1..];
+        match rest.strip_prefix('"') {
+            Some(next) => {
+                field.push('"');
+                rest = next;
+            }
+            None => return Some((field, rest)),
+        }
+    }
+}
+
 /// `line` without a comment that `#` or `//` begins.
 pub(super) fn strip_comment(line: &[u8]) -> &[u8] {
     let end = line

@@ -3,7 +3,7 @@
 use std::fmt;
 
 use densecloud_cascade::{CascadeOptions, Target};
-use densecloud_formats::Format;
+use densecloud_formats::{Format, Reading};
 use serde::de::Error as _;
 use serde::ser::SerializeMap;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
@@ -21,7 +21,7 @@ use crate::survey::Goal;
 /// ```
 ///
 /// As text it is a list of names and values ([`Options::parse`], [`Options::pairs`]); with serde, a map of the same
-/// names, to which `format` is added: the media type of [`Options::format`].
+/// names, to which `media_type` is added: that of [`Options::format`], the result's. (`format` is the input's.)
 ///
 /// ```
 /// let options = densecloud::Options::parse(&[("ratio", "8"), ("keep_input", "true")])?;
@@ -37,6 +37,8 @@ pub struct Options {
     pub cascade: CascadeOptions,
     /// What is done with the cascade's points.
     pub finish: Finish,
+    /// How the input is read, where its content does not tell.
+    pub reading: Reading,
     /// The format of the result; that of the input where there is none.
     pub format: Option<Format>,
 }
@@ -47,6 +49,7 @@ impl Default for Options {
             goal: Goal::Target(Target::Ratio(4.0)),
             cascade: CascadeOptions::default(),
             finish: Finish::default(),
+            reading: Reading::default(),
             format: None,
         }
     }
@@ -63,7 +66,10 @@ pub struct OptionError {
 }
 
 /// The key of [`Options::format`] in a map.
-const FORMAT: &str = "format";
+const MEDIA_TYPE: &str = "media_type";
+
+/// What that key was before: a job from then may still wait. No name of an input's format has a slash.
+const BEFORE: &str = "format";
 
 impl Options {
     /// Reads names and values strictly: what is unknown or comes twice is an error, so that a misspelt name is not
@@ -139,7 +145,7 @@ impl Serialize for Options {
             }
         }
         if let Some(format) = self.format {
-            map.serialize_entry(FORMAT, format.media_type())?;
+            map.serialize_entry(MEDIA_TYPE, format.media_type())?;
         }
         map.end()
     }
@@ -148,13 +154,16 @@ impl Serialize for Options {
 impl<'de> Deserialize<'de> for Options {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         let mut map = Map::deserialize(deserializer)?.0;
-        let format = map.iter().position(|(name, _)| name == FORMAT).map(|at| map.remove(at).1);
+        let is_media_type =
+            |(name, value): &(String, String)| name == MEDIA_TYPE || name == BEFORE && value.contains('/');
+        let format = map.iter().position(is_media_type).map(|at| map.remove(at).1);
         let mut options = Self::parse(&map).map_err(D::Error::custom)?;
         if let Some(media_type) = format {
             let essence = media_type.split(';').next().unwrap_or_default().trim();
             let found = Format::from_media_type(essence);
-            let wrong =
-                || D::Error::custom(format!("{FORMAT}: {media_type:?} is not the media type of a format"));
+            let wrong = || {
+                D::Error::custom(format!("{MEDIA_TYPE}: {media_type:?} is not the media type of a format"))
+            };
             options.format = Some(found.ok_or_else(wrong)?);
         }
         Ok(options)
@@ -208,6 +217,7 @@ mod tests {
             "spacing=0.1&keep_input&source_fields=true&normals=estimate&sensor=1,-2,0.5",
             "density=7&overlap=3&inner=1&max_displacement=inf&max_distance=2.5&no_polish=1",
             "ratio=1&attributes=a b:drop,c:mean",
+            "ratio=2&axes=\"a,b\",3,c d&separator=semicolon&decimal=comma&format=text",
         ] {
             let options = parse(query).unwrap_or_else(|why| panic!("{query}: {why}"));
             assert_eq!(Options::parse(&options.pairs()), Ok(options.clone()), "{query}");
@@ -227,6 +237,11 @@ mod tests {
         let options: Options = serde_json::from_str(json).expect("options");
         assert_eq!(options.pairs().len(), 4);
         assert_eq!(options.format, Format::from_media_type("text/csv"));
+        let both: Options =
+            serde_json::from_str(r#"{"media_type": "text/csv", "format": "text", "separator": ";"}"#)
+                .expect("options");
+        assert_eq!(both.format, options.format);
+        assert_eq!(both.pairs()[1..], [("separator", "semicolon".to_owned()), ("format", "text".to_owned())]);
         for (json, part) in [
             (r#"{"ratio": 0.5}"#, "ratio: \"0.5\" is not a number from 1 to 64"),
             (r#"{"ratio": 2, "ratio": 3}"#, "given twice"),
@@ -265,6 +280,10 @@ mod tests {
             ("max_distance=0", "max_distance"),
             ("max_displacement=nan", "max_displacement"),
             ("no_polish=no", "no_polish"),
+            ("axes=1,2", "axes"),
+            ("separator=colon", "separator"),
+            ("decimal=;", "decimal"),
+            ("format=docx", "format"),
         ] {
             assert_eq!(parse(query).expect_err(query).name, name, "{query}");
         }

@@ -4,9 +4,11 @@
 //! (`provenance.rs` asks for each that decides points or values; tests ask for it in `docs/openapi.json`). The command line, queries, forms, tensors, gRPC and jobs take it from the table.
 
 use std::fmt;
+use std::str::FromStr;
 
 use densecloud_cascade::{MAX_RATIO, Target};
 use densecloud_cloud::Position;
+use densecloud_formats::UnknownName;
 use serde::{Deserialize, Serialize};
 
 use crate::attributes::RulesError;
@@ -24,6 +26,8 @@ pub enum Topic {
     Attributes,
     /// How the cascade is run.
     Cascade,
+    /// How the file is read.
+    Reading,
 }
 
 /// One option: its name, its help, how it is read and told.
@@ -76,7 +80,7 @@ impl fmt::Display for Value {
 }
 
 /// Every option, in the order of help texts.
-pub static PARAMETERS: [Parameter; 15] = [
+pub static PARAMETERS: [Parameter; 19] = [
     Parameter {
         name: "ratio",
         short: Some('r'),
@@ -282,6 +286,57 @@ pub static PARAMETERS: [Parameter; 15] = [
             Some(options.finish.rules.to_string()).filter(|rules| !rules.is_empty()).map(Value::Text)
         },
     },
+    Parameter {
+        name: "axes",
+        short: None,
+        value: Some("A,B,C"),
+        help: "The columns of text that are x, y and z: their names, or their numbers from 1 [default: by their names, \
+               else the first three]",
+        topic: Topic::Reading,
+        read: |options, text| {
+            options.reading.axes = Some(text.parse()?);
+            Ok(())
+        },
+        tell: |options| options.reading.axes.as_ref().map(|axes| Value::Text(axes.to_string())),
+    },
+    Parameter {
+        name: "separator",
+        short: None,
+        value: Some("NAME"),
+        help: "What stands between columns of text: comma, semicolon, tab, space (any white space) or bar [default: as \
+               the first thousand lines say]",
+        topic: Topic::Reading,
+        read: |options, text| {
+            options.reading.separator = Some(named(text)?);
+            Ok(())
+        },
+        tell: |options| options.reading.separator.map(|separator| Value::Text(separator.to_string())),
+    },
+    Parameter {
+        name: "decimal",
+        short: None,
+        value: Some("NAME"),
+        help: "What stands before the fractions of numbers in text: point or comma [default: as the first thousand lines \
+               say]",
+        topic: Topic::Reading,
+        read: |options, text| {
+            options.reading.decimal = Some(named(text)?);
+            Ok(())
+        },
+        tell: |options| options.reading.decimal.map(|decimal| Value::Text(decimal.to_string())),
+    },
+    Parameter {
+        name: "format",
+        short: None,
+        value: Some("NAME"),
+        help: "The input's format, where its content does not tell [default: by its content]",
+        topic: Topic::Reading,
+        read: |options, text| {
+            options.reading.format = Some(named(text)?);
+            Ok(())
+        },
+        tell: |options| options.reading.format.map(|format| Value::Text(format.to_string())),
+    },
 ];
 
 /// The highest overlap: the cascade's own limit.
@@ -333,6 +388,10 @@ fn switch(text: &str) -> Result<bool, String> {
         "false" | "0" => Ok(false),
         _ => Err(format!("{text:?} is neither true nor false")),
     }
+}
+
+fn named<T: FromStr<Err = UnknownName>>(text: &str) -> Result<T, String> {
+    text.parse().map_err(|why: UnknownName| why.to_string())
 }
 
 fn position(text: &str) -> Result<Position, String> {

@@ -82,7 +82,7 @@ impl Prepared {
         options: Options,
         model: &ModelName,
     ) -> Result<Self, PrepareError> {
-        let Options { goal, cascade: settings, finish, format: wanted } = options;
+        let Options { goal, cascade: settings, finish, reading, format: wanted } = options;
         let points = cloud.positions.len();
         if let Some(odd) = cloud.attributes.iter().find(|attribute| attribute.values.len() != points) {
             let (name, values) = (odd.name.clone(), odd.values.len());
@@ -108,7 +108,7 @@ impl Prepared {
         let (mut origin, lost) = finish.origin(&cloud);
         warnings.extend(lost);
         let request = Request { cloud, target, settings, finish };
-        let provenance = provenance::line(model, &request);
+        let provenance = provenance::line(model, &request, &reading);
         origin.comments.push(provenance.clone());
         let report = Report { format, origin, provenance, points_in, points_out, warnings };
         Ok(Self { request, report })

@@ -7,18 +7,20 @@ use crate::attributes::Finish;
 use densecloud_backends::ModelName;
 use densecloud_cascade::{CascadeOptions, Target};
 use densecloud_cloud::Origin;
+use densecloud_formats::Reading;
 
 /// What begins a line of provenance among a file's comments.
 pub const MARK: &str = "densecloud: ";
 
-/// The line for a request's result: everything that decides its points and their values, and nothing else, so that the same
+/// The line for a request's result, whose input was read as `reading` says: everything that decides its points and their values, and nothing else, so that the same
 /// request gives the same file. `NAME=VALUE` with spaces between.
 #[must_use]
-pub fn line(model: &ModelName, request: &Request) -> String {
+pub fn line(model: &ModelName, request: &Request, reading: &Reading) -> String {
     // In full, so that nobody adds an option without deciding whether it belongs here.
     let Request { cloud, target, settings, finish } = request;
     let CascadeOptions { seed, overlap, inner, max_displacement, max_distance, polish } = settings;
     let Finish { rules, keep_input, source_fields: _, estimate_normals, sensor } = finish;
+    let Reading { format, axes, separator, decimal } = reading;
     let mut line = format!(
         "{MARK}version={} model={} model_sha256={}",
         env!("CARGO_PKG_VERSION"),
@@ -57,6 +59,18 @@ pub fn line(model: &ModelName, request: &Request) -> String {
     if !rules.is_empty() {
         add("attributes", &rules.split_whitespace().collect::<Vec<_>>().join("_"));
     }
+    if let Some(axes) = axes {
+        add("axes", &axes.to_string().split_whitespace().collect::<Vec<_>>().join("_"));
+    }
+    if let Some(separator) = separator {
+        add("separator", separator);
+    }
+    if let Some(decimal) = decimal {
+        add("decimal", decimal);
+    }
+    if let Some(format) = format {
+        add("format", format);
+    }
     line
 }
 
@@ -69,6 +83,7 @@ pub fn of(origin: &Origin) -> impl Iterator<Item = &str> {
 mod tests {
     use super::*;
     use densecloud_cloud::Cloud;
+    use densecloud_formats::Decimal;
 
     #[test]
     fn a_line_tells_what_decides_the_result_and_is_found_again() {
@@ -86,12 +101,17 @@ mod tests {
             settings: CascadeOptions { seed: 5, ..Default::default() },
             finish,
         };
-        let made = line(&model, &request);
+        let reading = Reading {
+            axes: Some("Points 0,2,3".parse().expect("axes")),
+            decimal: Some(Decimal::Comma),
+            ..Reading::default()
+        };
+        let made = line(&model, &request, &reading);
         for part in [
             "model=my_model model_sha256=12cd",
             "input_sha256=abababab",
             "input_points=7 ratio=7.3 seed=5",
-            "keep_input=true attributes=a_b:mean,red:drop",
+            "keep_input=true attributes=a_b:mean,red:drop axes=Points_0,2,3 decimal=comma",
         ] {
             assert!(made.contains(part), "{made}");
         }

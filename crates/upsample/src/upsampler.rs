@@ -8,7 +8,7 @@ use std::sync::Arc;
 use densecloud_backends::{Model, ModelName, OnnxBackend};
 use densecloud_cascade::{BackendError, CascadeError, LevelRunner, Observer, Patchwise, Silent};
 use densecloud_cloud::{Attribute, Cloud, Position};
-use densecloud_formats::{Format, FormatError, PlyEncoding, Scalar, encode, read_cloud_file};
+use densecloud_formats::{Format, FormatError, PlyEncoding, Reading, Scalar, encode, read_cloud_file_as};
 
 use crate::options::Options;
 use crate::prepared::{PrepareError, Prepared, Report};
@@ -141,7 +141,7 @@ impl Upsampler {
         if let Some(format) = options.format.filter(|format| format.written() != *format) {
             return Err(FormatError::NotWritten(format!("{format} is read only; write PLY (.ply)")).into());
         }
-        let dense = self.upsample(Input::read(input)?, options)?;
+        let dense = self.upsample(Input::read_as(input, &options.reading)?, options)?;
         let file = BufWriter::new(File::create(output).map_err(FormatError::from)?);
         dense.write(file)?;
         Ok(dense.report)
@@ -152,9 +152,17 @@ impl Input {
     /// Reads a file in any format that [`densecloud_formats`] knows, by its content.
     ///
     /// # Errors
-    /// As [`read_cloud_file`].
+    /// As [`read_cloud_file_as`].
     pub fn read(path: &Path) -> Result<Self, FormatError> {
-        let (cloud, header) = read_cloud_file(path)?;
+        Self::read_as(path, &Reading::default())
+    }
+
+    /// As [`Input::read`], in the way that a person asks for.
+    ///
+    /// # Errors
+    /// As [`read_cloud_file_as`].
+    pub fn read_as(path: &Path, reading: &Reading) -> Result<Self, FormatError> {
+        let (cloud, header) = read_cloud_file_as(path, reading)?;
         Ok(Self { cloud, format: header.format })
     }
 }

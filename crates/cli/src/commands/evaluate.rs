@@ -7,7 +7,7 @@ use clap::Args;
 use super::CliError;
 use super::engine_args::EngineArgs;
 use super::files;
-use super::options::CascadeArgs;
+use super::options::{CascadeArgs, ReadingArgs};
 use crate::evaluate::{
     CascadeSettings, DEFAULT_TOLERANCE, FileKind, FileSet, Method, Report, Row, SetError, Settings, controls,
     score,
@@ -69,6 +69,9 @@ pub(super) struct EvaluateArgs {
 
     #[command(flatten)]
     cascade: CascadeArgs,
+
+    #[command(flatten)]
+    reading: ReadingArgs,
 
     /// Write everything as JSON to a file; `-` for standard output, in place of the tables
     #[arg(long, value_name = "FILE")]
@@ -185,6 +188,8 @@ impl Shape<'_> {
         cascade: Option<&Cascade>,
         rows: &mut Vec<Row>,
     ) -> Result<(), CliError> {
+        let reading = args.reading.reading()?;
+        let read_positions = |path: &Path| Ok::<_, CliError>(files::read_cloud(path, &reading)?.0.positions);
         let reference = read_positions(self.reference)?;
         let input = self.input.map(read_positions).transpose()?;
         let read_mesh = |path| read_mesh_file(path).map_err(|e| CliError::file(path, e));
@@ -237,10 +242,6 @@ impl Cascade {
         let outcome = self.engine.submit(request).and_then(Pending::wait);
         outcome.map(|o| o.made.positions).map_err(|e| CliError::Failed(format!("shape `{name}`: {e}")))
     }
-}
-
-fn read_positions(path: &Path) -> Result<Vec<Position>, CliError> {
-    Ok(files::read_cloud(path)?.0.positions)
 }
 
 fn print(report: &Report, json: Option<&Path>) -> Result<(), CliError> {

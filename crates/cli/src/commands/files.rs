@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use super::CliError;
 use densecloud_cloud::{Attribute, Cloud, Origin, Position};
-use densecloud_formats::{CloudReader, Format, Header, Limits, encode, read_cloud_file};
+use densecloud_formats::{CloudReader, Format, Header, Limits, Reading, encode, read_cloud_file_as};
 use densecloud_geometry::check_count;
 
 pub(super) fn is_stream(path: &Path) -> bool {
@@ -21,14 +21,15 @@ pub(super) fn beside(path: &Path, suffix: &str) -> PathBuf {
 }
 
 /// Reads a cloud, `-` from standard input; refuses one of more points than indices can tell apart.
-pub(super) fn read_cloud(path: &Path) -> Result<(Cloud, Header), CliError> {
+pub(super) fn read_cloud(path: &Path, reading: &Reading) -> Result<(Cloud, Header), CliError> {
     let read = if is_stream(path) {
-        CloudReader::open(BufReader::new(io::stdin().lock()), Limits::default()).and_then(|reader| {
+        let stream = BufReader::new(io::stdin().lock());
+        CloudReader::open_as(stream, Limits::default(), reading).and_then(|reader| {
             let header = reader.header().clone();
             Ok((reader.read()?, header))
         })
     } else {
-        read_cloud_file(path)
+        read_cloud_file_as(path, reading)
     };
     let (cloud, header) = read.map_err(|why| CliError::file(path, why))?;
     check_count(cloud.positions.len()).map_err(|why| CliError::file(path, why))?;
@@ -131,7 +132,7 @@ mod tests {
             Err("no more".into())
         });
         assert!(matches!(failed, Err(CliError::File { .. })));
-        assert_eq!(read_cloud(&path).expect("a cloud").0.positions, [[1.0, 2.0, 3.0]]);
+        assert_eq!(read_cloud(&path, &Reading::default()).expect("a cloud").0.positions, [[1.0, 2.0, 3.0]]);
         assert_eq!(std::fs::read_dir(dir.path()).expect("a folder").count(), 1, "a part was left");
     }
 

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use clap::Args;
 use serde_json::{Value, json};
 
+use super::options::ReadingArgs;
 use super::upsample::PROVENANCE;
 use super::{CliError, files};
 use densecloud::provenance;
@@ -38,6 +39,9 @@ pub(super) struct InspectArgs {
     /// Points out for each point in, for the cost
     #[arg(short, long, value_name = "R", default_value_t = 4.0)]
     ratio: f64,
+
+    #[command(flatten)]
+    reading: ReadingArgs,
 }
 
 pub(super) fn run(args: &InspectArgs) -> Result<(), CliError> {
@@ -45,7 +49,8 @@ pub(super) fn run(args: &InspectArgs) -> Result<(), CliError> {
         return Err(CliError::Usage("--sample 0 measures nothing; give 1 or more".into()));
     }
     Target::Ratio(args.ratio).points_out(1).map_err(|e| CliError::Usage(e.to_string()))?;
-    let (cloud, header) = files::read_cloud(&args.input)?;
+    let reading = args.reading.reading()?;
+    let (cloud, header) = files::read_cloud(&args.input, &reading)?;
     let survey = Survey::of(&cloud.positions, args.sample).map_err(|e| CliError::file(&args.input, e))?;
     let mut made: Vec<String> = provenance::of(&cloud.origin).map(str::to_owned).collect();
     if let Ok(beside) = std::fs::read_to_string(files::beside(&args.input, PROVENANCE)) {
@@ -53,7 +58,7 @@ pub(super) fn run(args: &InspectArgs) -> Result<(), CliError> {
     }
     let strays = match &args.source {
         Some(path) => {
-            let (source, _) = files::read_cloud(path)?;
+            let (source, _) = files::read_cloud(path, &reading)?;
             let share = strays(&source.positions, &cloud.positions, FAR);
             Some(share.map_err(|e| CliError::file(path, e))?)
         }

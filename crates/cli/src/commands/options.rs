@@ -5,6 +5,8 @@ use clap::parser::ValueSource;
 use clap::{Arg, ArgAction, ArgMatches, Args, Command, Error, FromArgMatches};
 use densecloud::{Options, PARAMETERS, Parameter, Topic};
 
+use densecloud_formats::Reading;
+
 use super::CliError;
 
 /// All options that were typed, by their names.
@@ -14,6 +16,10 @@ pub(super) struct OptionArgs(Vec<(&'static str, String)>);
 /// The same of those of the cascade alone.
 #[derive(Debug, Clone, Default)]
 pub(super) struct CascadeArgs(Vec<(&'static str, String)>);
+
+/// The same of those that say how a cloud is read.
+#[derive(Debug, Clone, Default)]
+pub(super) struct ReadingArgs(Vec<(&'static str, String)>);
 
 /// The group of the goals: one of them at most may be given.
 pub(super) const GOALS: &str = "target";
@@ -41,6 +47,16 @@ impl CascadeArgs {
     }
 }
 
+impl ReadingArgs {
+    /// What they mean.
+    ///
+    /// # Errors
+    /// As [`OptionArgs::options`].
+    pub(super) fn reading(&self) -> Result<Reading, CliError> {
+        Ok(read(&self.0)?.reading)
+    }
+}
+
 fn read(typed: &[(&'static str, String)]) -> Result<Options, CliError> {
     Options::parse(typed).map_err(|error| CliError::Usage(format!("--{}: {}", flag(&error.name), error.why)))
 }
@@ -51,6 +67,10 @@ fn flag(name: &str) -> String {
 
 fn of_cascade() -> impl Iterator<Item = &'static Parameter> {
     PARAMETERS.iter().filter(|parameter| parameter.topic == Topic::Cascade)
+}
+
+fn of_reading() -> impl Iterator<Item = &'static Parameter> {
+    PARAMETERS.iter().filter(|parameter| parameter.topic == Topic::Reading)
 }
 
 /// The option of a parameter.
@@ -127,6 +147,27 @@ impl Args for CascadeArgs {
 impl FromArgMatches for CascadeArgs {
     fn from_arg_matches(matches: &ArgMatches) -> Result<Self, Error> {
         Ok(Self(typed(of_cascade(), matches)))
+    }
+
+    fn update_from_arg_matches(&mut self, matches: &ArgMatches) -> Result<(), Error> {
+        *self = Self::from_arg_matches(matches)?;
+        Ok(())
+    }
+}
+
+impl Args for ReadingArgs {
+    fn augment_args(command: Command) -> Command {
+        command.args(of_reading().map(arg))
+    }
+
+    fn augment_args_for_update(command: Command) -> Command {
+        Self::augment_args(command)
+    }
+}
+
+impl FromArgMatches for ReadingArgs {
+    fn from_arg_matches(matches: &ArgMatches) -> Result<Self, Error> {
+        Ok(Self(typed(of_reading(), matches)))
     }
 
     fn update_from_arg_matches(&mut self, matches: &ArgMatches) -> Result<(), Error> {

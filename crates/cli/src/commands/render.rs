@@ -6,6 +6,7 @@ use clap::{Args, ValueEnum};
 
 use super::CliError;
 use super::files;
+use super::options::ReadingArgs;
 use crate::evaluate::picture::{self, Axis, PictureError, Shade, Subject, View};
 use densecloud_cloud::Cloud;
 
@@ -54,6 +55,9 @@ pub(super) struct RenderArgs {
     /// Diameter of a point in pixels [default: just closes the surface of the densest cloud]
     #[arg(long, value_name = "PX")]
     point_size: Option<f64>,
+
+    #[command(flatten)]
+    reading: ReadingArgs,
 }
 
 #[derive(Debug, Clone, Copy, ValueEnum)]
@@ -76,7 +80,8 @@ enum AxisName {
 }
 
 pub(super) fn run(args: &RenderArgs) -> Result<(), CliError> {
-    let read = |path: &PathBuf| Ok(files::read_cloud(path)?.0);
+    let reading = args.reading.reading()?;
+    let read = |path: &PathBuf| Ok(files::read_cloud(path, &reading)?.0);
     let clouds: Vec<Cloud> =
         std::iter::once(&args.cloud).chain(&args.beside).map(read).collect::<Result<_, CliError>>()?;
     let clouds: Vec<Subject<'_>> = clouds.iter().map(Subject::of).collect();

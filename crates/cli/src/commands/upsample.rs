@@ -66,7 +66,7 @@ pub(super) fn run(args: &UpsampleArgs) -> Result<(), CliError> {
     }
     let start = Instant::now();
     let model = args.engine.model()?;
-    let (cloud, header) = files::read_cloud(&args.input)?;
+    let (cloud, header) = files::read_cloud(&args.input, &options.reading)?;
     let prepared = Prepared::new(cloud, header.format, options, &model.name());
     let Prepared { request, mut report } = prepared.map_err(|error| refused(args, &error))?;
     let warn = |warnings: &[String]| {

@@ -14,7 +14,7 @@ use ::e57::RecordName;
 
 use super::kind::{Choices, Kind, Mark, Opened, Rows};
 use super::source::Source;
-use super::{Format, FormatError, Limits};
+use super::{Format, FormatError, Limits, Reading};
 use densecloud_cloud::{Attribute, Origin, Position};
 
 /// E57, which has no choices.
@@ -23,6 +23,7 @@ pub(crate) struct E57;
 
 impl Kind for E57 {
     const MARK: Mark = Mark::Bytes(|head| head.starts_with(b"ASTM-E57"));
+    const NAMES: &'static [&'static str] = &["e57"];
     const BEGINNING: Option<&'static str> = Some("`ASTM-E57`");
     const MEDIA_TYPES: &'static [&'static str] = &["model/e57"];
 
@@ -34,7 +35,7 @@ impl Kind for E57 {
         (media_type == "model/e57").then_some(Self)
     }
 
-    fn open(source: &mut Source<'_>, limits: Limits) -> Result<Opened, FormatError> {
+    fn open(source: &mut Source<'_>, limits: Limits, _reading: &Reading) -> Result<Opened, FormatError> {
         Ok(Opened { header: read::open(source)?, points: Box::new(read::E57Points::new(limits)) })
     }
 }

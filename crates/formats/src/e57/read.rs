@@ -51,7 +51,7 @@ impl Points for E57Points {
         let columns = names.into_iter().zip(&to.columns);
         let columns = columns.map(|(name, column)| Some(ColumnName { name, kind: column.kind() })).collect();
         let (dropped_properties, origin) = (cloud.dropped_properties, cloud.origin);
-        self.ending = Some(Ending { columns, dropped_properties, origin });
+        self.ending = Some(Ending { columns, dropped_properties, notes: Vec::new(), origin });
         Ok(())
     }
 

@@ -18,7 +18,7 @@ use std::io::Write;
 
 use super::kind::{Choices, Kind, Mark, Opened, Rows};
 use super::source::Source;
-use super::{Format, FormatError, Limits};
+use super::{Format, FormatError, Limits, Reading};
 use densecloud_cloud::{Attribute, Origin, Position};
 
 pub(super) use origin::{LasExtra, LasOrigin, LasRecord};
@@ -31,6 +31,7 @@ pub(crate) struct Las {
 
 impl Kind for Las {
     const MARK: Mark = Mark::Bytes(|head| head.starts_with(b"LASF"));
+    const NAMES: &'static [&'static str] = &["las", "laz"];
     const BEGINNING: Option<&'static str> = Some("`LASF`");
     const MEDIA_TYPES: &'static [&'static str] = &["application/vnd.las", "application/vnd.laszip"];
 
@@ -46,7 +47,7 @@ impl Kind for Las {
         }
     }
 
-    fn open(source: &mut Source<'_>, limits: Limits) -> Result<Opened, FormatError> {
+    fn open(source: &mut Source<'_>, limits: Limits, _reading: &Reading) -> Result<Opened, FormatError> {
         Ok(Opened { header: read::open(source, limits)?, points: Box::new(read::LasPoints::default()) })
     }
 }

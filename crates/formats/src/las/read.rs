@@ -353,6 +353,6 @@ impl Decoder {
             extra: described,
             ..self.las
         }));
-        Ok(Ending { columns, dropped_properties: self.dropped, origin })
+        Ok(Ending { columns, dropped_properties: self.dropped, notes: Vec::new(), origin })
     }
 }

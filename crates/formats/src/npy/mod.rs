@@ -8,7 +8,7 @@ use std::fmt;
 use super::kind::{Choices, Kind, Mark, Opened, Rows};
 use super::numbers::{Storage, put_rows, put_table};
 use super::source::Source;
-use super::{Format, FormatError, Limits, Scalar};
+use super::{Format, FormatError, Limits, Reading, Scalar};
 use densecloud_cloud::{Attribute, Kind as Number, Origin, Position, bytes_a_point};
 
 /// What every file begins with.
@@ -23,6 +23,7 @@ pub(crate) struct Npy {
 
 impl Kind for Npy {
     const MARK: Mark = Mark::Bytes(|head| head.starts_with(MAGIC));
+    const NAMES: &'static [&'static str] = &["npy"];
     const BEGINNING: Option<&'static str> = Some("`\\x93NUMPY`");
     const MEDIA_TYPES: &'static [&'static str] = &["application/x-npy"];
 
@@ -34,7 +35,7 @@ impl Kind for Npy {
         if media_type == "application/x-npy" { Self::from_extension("npy") } else { None }
     }
 
-    fn open(source: &mut Source<'_>, limits: Limits) -> Result<Opened, FormatError> {
+    fn open(source: &mut Source<'_>, limits: Limits, _reading: &Reading) -> Result<Opened, FormatError> {
         let (points, header) = read::NpyPoints::open(source, limits)?;
         Ok(Opened { header, points: Box::new(points) })
     }

@@ -249,7 +249,7 @@ impl Points for NpyPoints {
         let columns = names.into_iter().zip(self.others());
         let columns =
             columns.map(|(name, field)| Some(ColumnName { name, kind: field.number.kind })).collect();
-        Ok(Ending { columns, dropped_properties: Vec::new(), origin: Origin::default() })
+        Ok(Ending { columns, dropped_properties: Vec::new(), notes: Vec::new(), origin: Origin::default() })
     }
 }
 

@@ -10,7 +10,7 @@ use super::kind::{Choices, Kind, Mark, Opened, Rows};
 use super::numbers::Storage;
 use super::source::Source;
 use super::writer::write_streamed;
-use super::{Format, FormatError, Limits, Scalar};
+use super::{Format, FormatError, Limits, Reading, Scalar};
 use densecloud_cloud::{Attribute, Origin, Position, bytes_a_point};
 
 /// PCD with its choices made.
@@ -52,6 +52,7 @@ impl PcdEncoding {
 impl Kind for Pcd {
     /// The comment is usual; the line after it is not optional.
     const MARK: Mark = Mark::Bytes(|head| head.starts_with(b"# .PCD") || head.starts_with(b"VERSION "));
+    const NAMES: &'static [&'static str] = &["pcd"];
     const BEGINNING: Option<&'static str> = Some("`# .PCD`");
     const MEDIA_TYPES: &'static [&'static str] = &["application/x-pcd"];
 
@@ -63,7 +64,7 @@ impl Kind for Pcd {
         if media_type == "application/x-pcd" { Self::from_extension("pcd") } else { None }
     }
 
-    fn open(source: &mut Source<'_>, limits: Limits) -> Result<Opened, FormatError> {
+    fn open(source: &mut Source<'_>, limits: Limits, _reading: &Reading) -> Result<Opened, FormatError> {
         let (points, header) = read::PcdPoints::open(source, limits)?;
         Ok(Opened { header, points: Box::new(points) })
     }

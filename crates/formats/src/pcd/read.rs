@@ -327,7 +327,7 @@ impl Points for PcdPoints {
         }
         let columns = self.attributes().into_iter();
         let columns = columns.map(|(name, column)| Some(ColumnName { name, kind: column.kind })).collect();
-        Ok(Ending { columns, dropped_properties: Vec::new(), origin: self.origin })
+        Ok(Ending { columns, dropped_properties: Vec::new(), notes: Vec::new(), origin: self.origin })
     }
 }
 

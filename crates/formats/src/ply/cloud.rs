@@ -106,7 +106,7 @@ impl Points for PlyPoints {
         let columns = self.vertices.columns.iter();
         let columns =
             columns.map(|c| Some(ColumnName { name: properties[c.property].name.clone(), kind: c.kind }));
-        Ok(Ending { columns: columns.collect(), dropped_properties: Vec::new(), origin })
+        Ok(Ending { columns: columns.collect(), dropped_properties: Vec::new(), notes: Vec::new(), origin })
     }
 }
 

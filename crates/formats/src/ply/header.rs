@@ -209,7 +209,7 @@ mod tests {
     use super::*;
 
     fn parse_text(text: &[u8]) -> Result<PlyHeader, FormatError> {
-        parse(&mut Source::new(Input::Stream(Box::new(text)), Limits::default())?)
+        parse(&mut Source::new(Input::Stream(Box::new(text)), Limits::default(), false)?)
     }
 
     #[test]

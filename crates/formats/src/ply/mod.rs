@@ -11,7 +11,7 @@ use std::fmt;
 use super::kind::{Choices, Kind, Mark, Opened, Rows};
 use super::numbers::Storage;
 use super::source::Source;
-use super::{Format, FormatError, Limits, Scalar};
+use super::{Format, FormatError, Limits, Reading, Scalar};
 use densecloud_cloud::{Attribute, Origin, Table, bytes_a_point};
 
 pub(super) use mesh::read_mesh;
@@ -62,6 +62,7 @@ impl Kind for Ply {
     const MARK: Mark = Mark::Bytes(|head| {
         head.strip_prefix(b"ply").is_some_and(|rest| rest.first().is_none_or(u8::is_ascii_whitespace))
     });
+    const NAMES: &'static [&'static str] = &["ply"];
     const BEGINNING: Option<&'static str> = Some("the line `ply`");
     const HEADER_END: Option<&'static [u8]> = Some(b"end_header");
     const MEDIA_TYPES: &'static [&'static str] = &["application/x-ply"];
@@ -78,7 +79,7 @@ impl Kind for Ply {
         }
     }
 
-    fn open(source: &mut Source<'_>, limits: Limits) -> Result<Opened, FormatError> {
+    fn open(source: &mut Source<'_>, limits: Limits, _reading: &Reading) -> Result<Opened, FormatError> {
         let ply = header::parse(source)?;
         let header = cloud::describe(source, &ply, limits)?;
         Ok(Opened { header, points: Box::new(cloud::PlyPoints::new(source, ply)?) })

@@ -49,12 +49,18 @@ fn joined(mut reader: CloudReader<'_>, rows: usize) -> Result<Cloud, FormatError
             *column = if more.is_empty() { Values::new(Kind::F64) } else { Values::F64(numbers.collect()) };
         }
     }
-    let Ending { columns, dropped_properties, origin } = reader.finish()?;
+    let Ending { columns, dropped_properties, notes, origin } = reader.finish()?;
     let attributes = all.columns.iter().zip(columns).filter_map(|(values, column)| {
         let ColumnName { name, kind } = column?;
         Some(Attribute { name, values: Values::from_f64(kind, (0..values.len()).map(|i| values.get(i))) })
     });
-    Ok(Cloud { attributes: attributes.collect(), positions: all.positions, dropped_properties, origin })
+    Ok(Cloud {
+        attributes: attributes.collect(),
+        positions: all.positions,
+        dropped_properties,
+        notes,
+        origin,
+    })
 }
 
 #[test]

@@ -153,7 +153,7 @@ fn empty_and_foreign_files_are_named() {
         assert!(matches!(read(bytes), Err(FormatError::Empty("points"))));
     }
     for (bytes, name) in
-        [(b"\x89HDF\r\n".as_slice(), "HDF5"), (b"\x1F\x8B\x08\x00", "gzip"), (b"\x00\x01\x02", "binary data")]
+        [(b"\x89HDF\r\n".as_slice(), "HDF5"), (b"\xFF\xFE\0\0x", "UTF-32"), (b"\x00\x01\x02", "binary data")]
     {
         let error = read(bytes).expect_err("foreign");
         assert!(matches!(error, FormatError::Unrecognised { .. }));

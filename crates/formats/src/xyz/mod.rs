@@ -1,5 +1,6 @@
 //! Text with a point a line.
 
+mod marks;
 mod read;
 
 use std::fmt;
@@ -7,36 +8,16 @@ use std::fmt;
 use super::kind::{Choices, Kind, Mark, Opened, Rows};
 use super::numbers::{Storage, one_word, put_rows};
 use super::source::Source;
-use super::{Format, FormatError, Limits, Scalar};
+use super::{Format, FormatError, Limits, Reading, Scalar};
 use densecloud_cloud::{Attribute, Origin, Position};
+
+pub use marks::{Decimal, Separator};
 
 /// Text with its choices made.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Xyz {
     pub(crate) names: bool,
     pub(crate) separator: Separator,
-}
-
-/// What stands between two columns of text.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Separator {
-    /// A space; read, any white space.
-    Space,
-    /// A comma.
-    Comma,
-    /// A semicolon.
-    Semicolon,
-}
-
-impl Separator {
-    /// What is written.
-    fn as_str(self) -> &'static str {
-        match self {
-            Self::Space => " ",
-            Self::Comma => ",",
-            Self::Semicolon => ";",
-        }
-    }
 }
 
 impl Format {
@@ -47,6 +28,7 @@ impl Format {
 impl Kind for Xyz {
     /// Whatever is text, and nothing else.
     const MARK: Mark = Mark::Lines(|_| true);
+    const NAMES: &'static [&'static str] = &["text"];
     const BEGINNING: Option<&'static str> = None;
     const MEDIA_TYPES: &'static [&'static str] = &["text/plain", "text/csv"];
 
@@ -67,7 +49,7 @@ impl Kind for Xyz {
         }
     }
 
-    fn open(source: &mut Source<'_>, limits: Limits) -> Result<Opened, FormatError> {
+    fn open(source: &mut Source<'_>, limits: Limits, _reading: &Reading) -> Result<Opened, FormatError> {
         let (points, header) = read::XyzPoints::open(source, limits)?;
         Ok(Opened { header, points: Box::new(points) })
     }
@@ -77,7 +59,7 @@ impl Choices for Xyz {
     fn media_type(&self) -> &'static str {
         match self.separator {
             Separator::Comma => "text/csv; charset=utf-8",
-            Separator::Space | Separator::Semicolon => "text/plain; charset=utf-8",
+            _ => "text/plain; charset=utf-8",
         }
     }
 
@@ -125,6 +107,8 @@ impl fmt::Display for Xyz {
             Separator::Comma => "text (commas)",
             Separator::Semicolon => "text (semicolons)",
             Separator::Space => "text",
+            Separator::Tab => "text (tabs)",
+            Separator::Bar => "text (vertical bars)",
         })
     }
 }

@@ -13,7 +13,7 @@ use crate::proto::NumberType;
 use crate::proto::options::{Goal, Result as Wanted};
 use densecloud::Options;
 use densecloud_cloud::{Attribute, Kind, Values};
-use densecloud_formats::{Format, Scalar, npy_header};
+use densecloud_formats::{Format, Reading, Scalar, npy_header};
 
 /// A first message that makes sense.
 #[derive(Debug)]
@@ -55,6 +55,11 @@ impl Start {
             Some(Wanted::AsPoints(true)) => (Some(Format::Npy { scalar: Scalar::F64, fields: true }), true),
             Some(Wanted::AsPoints(false)) | None => (None, columns.is_some()),
         };
+        if columns.is_some() && read.reading != Reading::default() {
+            let why =
+                "axes, separator, decimal and format say how a file is read; this cloud comes as columns";
+            return Err(malformed(why));
+        }
         if let Some(columns) = &columns {
             app.check_points(columns.points, read.points_out(columns.points))?;
             let limit = app.config.limits.body_bytes;

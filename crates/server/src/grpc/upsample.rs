@@ -160,7 +160,7 @@ impl Call {
         // Of the HTTP body's own headers, none mean anything here.
         let none = HeaderMap::new();
         let mut upload = Upload::new(&none, incoming::body(messages, columns));
-        let received = upload.receive(&none, app, known).await?;
+        let received = upload.receive(&none, app, &options.reading, known).await?;
         drop(half);
         let arrived = (received.bytes().len(), received.took);
         let read = move |app: &App| Ok((upsample::UpsampleRequest::read(app, &received, options)?, ()));

@@ -5,6 +5,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use axum::http::{HeaderMap, Uri, header};
 use densecloud::{Options, Parameter};
+use densecloud_formats::Reading;
 use futures::stream;
 use multer::{Field, Multipart};
 
@@ -44,7 +45,7 @@ impl Asking {
         }
         let options = query::options(uri)?;
         let known = |points| known(points, options.points_out(points));
-        let received = upload.receive(headers, app, known).await?;
+        let received = upload.receive(headers, app, &options.reading, known).await?;
         Ok(Self { options, received })
     }
 
@@ -133,7 +134,10 @@ async fn receive_file(
 ) -> Result<Received, Problem> {
     // Parameters that follow the file are judged when they come.
     let options = query::options_of(pairs).ok();
-    let mut check = HeaderCheck::new(app, |points| {
+    // A field that says how the file is read may follow it, too.
+    let reading =
+        options.as_ref().map(|options| &options.reading).filter(|reading| **reading != Reading::default());
+    let mut check = HeaderCheck::new(app, reading, |points| {
         known(points, options.as_ref().map_or(points, |options| options.points_out(points)))
     });
     let mut arrival = Arrival::begin(Coding::of(field.headers())?, app)?;

@@ -12,7 +12,7 @@ use crate::app::App;
 use crate::connection::decode::{Coding, DecodeError, Decoder};
 use crate::problem::Problem;
 use densecloud_cloud::Cloud;
-use densecloud_formats::{CloudReader, FirstBytes, Format, FormatError, Limits};
+use densecloud_formats::{CloudReader, FirstBytes, Format, FormatError, Limits, Reading};
 
 /// A body that arrives, or is given up politely.
 pub(crate) struct Upload {
@@ -52,9 +52,10 @@ impl Upload {
         &mut self,
         headers: &HeaderMap,
         app: &App,
+        reading: &Reading,
         known: impl FnMut(u64) -> Result<(), Problem>,
     ) -> Result<Received, Problem> {
-        let mut check = HeaderCheck::new(app, known);
+        let mut check = HeaderCheck::new(app, Some(reading), known);
         let judge = |bytes: &[u8], new| check.judge(bytes, new);
         self.receive_judged(headers, app, judge).await
     }
@@ -211,12 +212,12 @@ impl Received {
         (self.bytes, self._held)
     }
 
-    /// Reads the cloud, and the format it came in. Blocking work: O(bytes).
+    /// Reads the cloud as is asked, and the format it came in. Blocking work: O(bytes).
     ///
     /// # Errors
     /// What [`CloudReader`] gives, as problems.
-    pub(crate) fn parse(&self, app: &App) -> Result<(Cloud, Format), Problem> {
-        let reader = CloudReader::open(&self.bytes[..], reader_limits(app))?;
+    pub(crate) fn parse(&self, app: &App, reading: &Reading) -> Result<(Cloud, Format), Problem> {
+        let reader = CloudReader::open_as(&self.bytes[..], reader_limits(app), reading)?;
         let format = reader.header().format.written();
         Ok((reader.read()?, format))
     }
@@ -231,14 +232,16 @@ fn reader_limits(app: &App) -> Limits {
 /// arrives.
 pub(crate) struct HeaderCheck<'a, F> {
     app: &'a App,
+    /// How the file will be read, unless that is yet to come.
+    reading: Option<&'a Reading>,
     /// Is told the points in.
     known: F,
     done: bool,
 }
 
 impl<'a, F: FnMut(u64) -> Result<(), Problem>> HeaderCheck<'a, F> {
-    pub(crate) fn new(app: &'a App, known: F) -> Self {
-        Self { app, known, done: false }
+    pub(crate) fn new(app: &'a App, reading: Option<&'a Reading>, known: F) -> Self {
+        Self { app, reading, known, done: false }
     }
 
     /// To be shown all that has arrived, of which `new` bytes are new.
@@ -251,7 +254,10 @@ impl<'a, F: FnMut(u64) -> Result<(), Problem>> HeaderCheck<'a, F> {
             return Ok(());
         }
         self.done = true;
-        match CloudReader::open(bytes, reader_limits(self.app)) {
+        let unread = Reading::default();
+        match CloudReader::open_as(bytes, reader_limits(self.app), self.reading.unwrap_or(&unread)) {
+            // What is asked for later may be another format.
+            Err(FormatError::Unrecognised { .. }) if self.reading.is_none() => Ok(()),
             Ok(reader) => reader.header().points.map_or(Ok(()), &mut self.known),
             // Only the whole of it can be judged.
             Err(FormatError::Malformed { .. } | FormatError::Truncated { .. } | FormatError::Empty(_))

@@ -91,7 +91,7 @@ pub(crate) struct UpsampleRequest {
 impl UpsampleRequest {
     /// Blocking work: parses the body.
     pub(crate) fn read(app: &App, received: &Received, options: Options) -> Result<Self, Problem> {
-        let (cloud, input) = received.parse(app)?;
+        let (cloud, input) = received.parse(app, &options.reading)?;
         Ok(Self { cloud, input, options })
     }
 }

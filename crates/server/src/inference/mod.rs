@@ -232,9 +232,10 @@ impl Datatype {
     }
 }
 
-/// The parameters that a request may have: a tensor has no attributes.
+/// The parameters that a request may have: a tensor has no attributes, and is no file.
 pub(super) fn parameters() -> impl Iterator<Item = &'static Parameter> {
-    PARAMETERS.iter().filter(|parameter| parameter.topic != Topic::Attributes)
+    let about_files = [Topic::Attributes, Topic::Reading];
+    PARAMETERS.iter().filter(move |parameter| !about_files.contains(&parameter.topic))
 }
 
 /// Reads the parameters of a request, which are those of `/upsample` that tell of points alone.
