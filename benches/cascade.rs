@@ -44,12 +44,9 @@ fn measure(engine: &Engine, points: usize, ratio: f64, polish: bool, runs: usize
     let mut seconds = Vec::new();
     let mut stages: Vec<StageTimes> = Vec::new();
     for _ in 0..=runs {
-        let request = Request {
-            cloud: positions.clone().into(),
-            target: Target::Ratio(ratio),
-            settings: CascadeOptions { polish, ..CascadeOptions::default() },
-            finish: Finish::default(),
-        };
+        let settings = CascadeOptions { polish, ..CascadeOptions::default() };
+        let request =
+            Request::new(positions.clone().into(), Target::Ratio(ratio), settings, Finish::default());
         let start = Instant::now();
         let outcome = engine.submit(request).expect("admitted").wait().expect("a dense cloud");
         seconds.push(start.elapsed().as_secs_f64());

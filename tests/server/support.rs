@@ -413,7 +413,7 @@ pub(crate) fn outcome(cloud: Cloud, target: Target, seed: u64) -> Outcome {
     let sizes = EngineConfig { threads: 1, ..Default::default() };
     let engine = Engine::with_backend(Arc::new(Fake::new()), sizes).unwrap();
     let settings = CascadeOptions { seed, ..Default::default() };
-    let request = Request { cloud, target, settings, finish: Finish::default() };
+    let request = Request::new(cloud, target, settings, Finish::default());
     engine.submit(request).unwrap().wait().unwrap()
 }
 

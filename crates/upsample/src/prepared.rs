@@ -107,7 +107,8 @@ impl Prepared {
         }
         let (mut origin, lost) = finish.origin(&cloud);
         warnings.extend(lost);
-        let request = Request { cloud, target, settings, finish };
+        let request = Request::new(cloud, target, settings, finish);
+        warnings.extend_from_slice(request.plan.warnings());
         let provenance = provenance::line(model, &request, &reading);
         origin.comments.push(provenance.clone());
         let report = Report { format, origin, provenance, points_in, points_out, warnings };

@@ -17,7 +17,7 @@ pub const MARK: &str = "densecloud: ";
 #[must_use]
 pub fn line(model: &ModelName, request: &Request, reading: &Reading) -> String {
     // In full, so that nobody adds an option without deciding whether it belongs here.
-    let Request { cloud, target, settings, finish } = request;
+    let Request { cloud, target, settings, finish, plan: _ } = request;
     let CascadeOptions { seed, overlap, inner, max_displacement, max_distance, polish } = settings;
     let Finish { rules, keep_input, source_fields: _, estimate_normals, sensor } = finish;
     let Reading { format, axes, separator, decimal } = reading;
@@ -95,12 +95,8 @@ mod tests {
             rules: "red:drop,a b:mean".parse().expect("rules"),
             ..Finish::default()
         };
-        let request = Request {
-            cloud,
-            target: Target::Ratio(7.3),
-            settings: CascadeOptions { seed: 5, ..Default::default() },
-            finish,
-        };
+        let settings = CascadeOptions { seed: 5, ..Default::default() };
+        let request = Request::new(cloud, Target::Ratio(7.3), settings, finish);
         let reading = Reading {
             axes: Some("Points 0,2,3".parse().expect("axes")),
             decimal: Some(Decimal::Comma),

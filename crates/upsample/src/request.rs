@@ -3,7 +3,7 @@
 use densecloud_cascade::{CascadeError, CascadeOptions, LevelRunner, Observer, Stage, Target, upsample};
 use densecloud_cloud::{Attribute, Cloud, Position};
 
-use crate::attributes::{self, Finish};
+use crate::attributes::{self, Finish, Plan};
 
 /// What a caller wants done, with every default filled in: see [`Prepared`](crate::Prepared).
 #[derive(Debug, Clone)]
@@ -16,9 +16,18 @@ pub struct Request {
     pub settings: CascadeOptions,
     /// What is done with the cascade's points.
     pub finish: Finish,
+    /// What becomes of the cloud's attributes: [`Plan::of`] them and of the rules of `finish`.
+    pub plan: Plan,
 }
 
 impl Request {
+    /// A request whose plan is that of its cloud and its rules.
+    #[must_use]
+    pub fn new(cloud: Cloud, target: Target, settings: CascadeOptions, finish: Finish) -> Self {
+        let plan = Plan::of(&cloud.attributes, &finish.rules);
+        Self { cloud, target, settings, finish, plan }
+    }
+
     /// Work and memory for each point, in multiples of what the default settings take; at least 1. The network's
     /// work grows with the overlap, and the points to merge with the overlap times the inner share; the larger growth counts.
     #[must_use]
@@ -36,7 +45,7 @@ impl Request {
     /// # Errors
     /// [`CascadeError`]: the cloud or the target is impossible, the runner failed, or the observer stopped it.
     pub fn run(&self, runner: &dyn LevelRunner, observer: &dyn Observer) -> Result<Made, CascadeError> {
-        let Self { cloud, target, settings, finish } = self;
+        let Self { cloud, target, settings, finish, plan } = self;
         let dense = upsample(&cloud.positions, *target, settings, runner, observer)?;
         let made = Made {
             positions: dense.positions,
@@ -49,7 +58,7 @@ impl Request {
             return Ok(made);
         }
         observer.begin(dense.levels.saturating_sub(1), Stage::Attributes);
-        let finished = attributes::finish(cloud, made.positions, finish, &|| observer.cancelled());
+        let finished = attributes::finish(cloud, made.positions, finish, plan, &|| observer.cancelled());
         let (positions, attributes) = finished.ok_or(CascadeError::Cancelled)?;
         Ok(Made { positions, attributes, ..made })
     }

@@ -233,12 +233,7 @@ impl Shape<'_> {
 
 impl Cascade {
     fn run(&self, name: &str, positions: Vec<Position>) -> Result<Vec<Position>, CliError> {
-        let request = Request {
-            cloud: positions.into(),
-            target: self.target,
-            settings: self.settings,
-            finish: Finish::default(),
-        };
+        let request = Request::new(positions.into(), self.target, self.settings, Finish::default());
         let outcome = self.engine.submit(request).and_then(Pending::wait);
         outcome.map(|o| o.made.positions).map_err(|e| CliError::Failed(format!("shape `{name}`: {e}")))
     }

@@ -8,6 +8,7 @@ use serde_json::{Value, json};
 use super::options::ReadingArgs;
 use super::upsample::PROVENANCE;
 use super::{CliError, files};
+use densecloud::attributes::{Plan, Rule, Rules};
 use densecloud::provenance;
 use densecloud::survey::{SAMPLE, Spread, Survey, strays};
 use densecloud_cascade::Target;
@@ -92,6 +93,17 @@ const BYTES: f64 = 5e7;
 const FAR: f64 = 3.0;
 
 impl Inspection<'_> {
+    /// Names, types, and the rules by which new points would come by them.
+    fn attributes(&self) -> impl Iterator<Item = (&str, &'static str, Rule)> {
+        let plan = Plan::of(&self.cloud.attributes, &Rules::default());
+        let rules = plan.rules().to_vec();
+        self.cloud
+            .attributes
+            .iter()
+            .zip(rules)
+            .map(|(a, rule)| (a.name.as_str(), kind(a.values.kind()), rule))
+    }
+
     fn points_out(&self) -> u64 {
         Target::Ratio(self.ratio).points_out(self.survey.finite as u64).unwrap_or_default()
     }
@@ -141,7 +153,7 @@ impl Inspection<'_> {
         let crs = self.cloud.origin.crs.as_ref().map_or("not told".to_owned(), |crs| crs.name());
         lines.push(("coordinates", crs));
         let attributes: Vec<String> =
-            self.cloud.attributes.iter().map(|a| format!("{} ({})", a.name, kind(a.values.kind()))).collect();
+            (self.attributes()).map(|(name, kind, rule)| format!("{name} ({kind}, {rule})")).collect();
         lines.push(("attributes", if attributes.is_empty() { "none".into() } else { attributes.join(", ") }));
         let cost = format!(
             "{} points, about {} s on one thread of BENCHMARKS.md's machine, {} MB",
@@ -187,8 +199,8 @@ impl Inspection<'_> {
         let known = |x: f64| if s.measured > 0 { json!(x) } else { Value::Null };
         let spread =
             |x: Spread| json!({ "p01": known(x.low), "median": known(x.median), "p99": known(x.high) });
-        let attributes: Vec<Value> = (self.cloud.attributes.iter())
-            .map(|a| json!({ "name": a.name, "type": kind(a.values.kind()) }))
+        let attributes: Vec<Value> = (self.attributes())
+            .map(|(name, kind, rule)| json!({ "name": name, "type": kind, "rule": rule.to_string() }))
             .collect();
         json!({
             "format": self.format.to_string(),

@@ -24,12 +24,8 @@ fn request(points: u32, ratio: f64) -> Request {
             [t.cos(), t.sin(), t * 0.3]
         })
         .collect();
-    Request {
-        cloud: positions.into(),
-        target: Target::Ratio(ratio),
-        settings: CascadeOptions::default(),
-        finish: densecloud::attributes::Finish::default(),
-    }
+    let finish = densecloud::attributes::Finish::default();
+    Request::new(positions.into(), Target::Ratio(ratio), CascadeOptions::default(), finish)
 }
 
 /// What another thread is about to do.

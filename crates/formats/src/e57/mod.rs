@@ -4,6 +4,7 @@
 //! extension `nor` that libe57 documents; every other attribute is in one of our own, `densecloud`, whose
 //! columns are the attributes' names ([`tag`]).
 
+mod column;
 mod read;
 mod write;
 

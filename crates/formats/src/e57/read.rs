@@ -3,15 +3,16 @@
 use std::io::{self, Seek};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
-use ::e57::{E57Reader, PointCloud, Record, RecordDataType, RecordName, RecordValue, Transform};
+use ::e57::{E57Reader, PointCloud, Record, RecordDataType, RecordName, Transform};
 
 use super::super::columns::MAX_COLUMNS;
 use super::super::reader::{Block, ColumnName, Ending, Points};
 use super::super::source::Source;
 use super::super::spool::Spool;
 use super::super::{Format, FormatError, Header, Limits, Place};
+use super::column::{Column, flag_absent, whole};
 use super::{NORMALS, SCAN, STANDARD, untag};
-use densecloud_cloud::{Attribute, Cloud, Kind, Position, Values};
+use densecloud_cloud::{Attribute, Cloud, Position};
 
 /// Bytes of the header of a file.
 const HEADER: usize = 48;
@@ -141,9 +142,13 @@ fn decode(mut file: Spool, end: Place, limits: Limits) -> Result<Cloud, FormatEr
     // Parsing cannot fail.
     cloud.origin.crs = text.and_then(|text| text.parse().ok());
     let scan_name = free_name(&columns, SCAN);
+    flag_absent(&mut columns, cloud.positions.len());
     for column in columns {
-        if column.scans < scans.len() {
-            let fill = if matches!(column.numbers, Numbers::Whole(_)) { "0" } else { "nan" };
+        if column.scans < scans.len() && !column.is_flag() {
+            let fill = match column.flag() {
+                Some(flag) => format!("{flag} is 1"),
+                None => "nan".to_owned(),
+            };
             let (name, has, all) = (&column.name, column.scans, scans.len());
             cloud.origin.comment(&format!("{name}: told by {has} of {all} scans, {fill} in the others"));
         }
@@ -381,150 +386,4 @@ impl Pose {
 
 fn turn(rows: &[[f64; 3]; 3], v: [f64; 3]) -> [f64; 3] {
     rows.map(|row| row[0] * v[0] + row[1] * v[1] + row[2] * v[2])
-}
-
-/// An attribute as it is read.
-struct Column {
-    name: String,
-    numbers: Numbers,
-    /// The range of the whole numbers, as the file tells it.
-    lowest: i64,
-    highest: i64,
-    /// How many scans have it.
-    scans: usize,
-}
-
-/// In the narrowest type that all scans have them in.
-enum Numbers {
-    Whole(Vec<i64>),
-    Single(Vec<f32>),
-    Double(Vec<f64>),
-}
-
-impl Column {
-    /// The column of that name, which a scan has in this type, its numbers `shift` too low, and which may
-    /// be new at point `from`.
-    fn place(columns: &mut Vec<Self>, name: &str, kind: &RecordDataType, shift: i64, from: usize) -> usize {
-        let place = columns.iter().position(|column| column.name == name);
-        let place = place.unwrap_or_else(|| {
-            let numbers = match kind {
-                RecordDataType::Integer { .. } => Numbers::Whole(Vec::new()),
-                RecordDataType::Single { .. } => Numbers::Single(Vec::new()),
-                _ => Numbers::Double(Vec::new()),
-            };
-            columns.push(Self {
-                name: name.to_owned(),
-                numbers,
-                lowest: i64::MAX,
-                highest: i64::MIN,
-                scans: 0,
-            });
-            columns.len() - 1
-        });
-        let column = &mut columns[place];
-        column.fill(from);
-        column.scans += 1;
-        // Files that tell no range have the widest; the values tell more.
-        if let RecordDataType::Integer { min, max } = kind
-            && (*min, *max) != (i64::MIN, i64::MAX)
-        {
-            column.lowest = column.lowest.min(min.saturating_add(shift));
-            column.highest = column.highest.max(max.saturating_add(shift));
-        }
-        place
-    }
-
-    fn len(&self) -> usize {
-        match &self.numbers {
-            Numbers::Whole(numbers) => numbers.len(),
-            Numbers::Single(numbers) => numbers.len(),
-            Numbers::Double(numbers) => numbers.len(),
-        }
-    }
-
-    /// Fills up to `to` points what no scan has told.
-    fn fill(&mut self, to: usize) {
-        match &mut self.numbers {
-            Numbers::Whole(numbers) => numbers.resize(to, 0),
-            Numbers::Single(numbers) => numbers.resize(to, f32::NAN),
-            Numbers::Double(numbers) => numbers.resize(to, f64::NAN),
-        }
-    }
-
-    /// Appends a number, which is `wide` as a double, and `shift` too low.
-    fn push(&mut self, value: &RecordValue, wide: f64, shift: i64) {
-        let wide = wide + shift as f64;
-        match (&mut self.numbers, value) {
-            (Numbers::Whole(numbers), RecordValue::Integer(value)) => {
-                let value = value.saturating_add(shift);
-                numbers.push(value);
-                self.lowest = self.lowest.min(value);
-                self.highest = self.highest.max(value);
-            }
-            (Numbers::Single(numbers), RecordValue::Single(value)) => numbers.push(*value),
-            (Numbers::Double(numbers), _) => numbers.push(wide),
-            _ => {
-                let numbers = (0..self.len()).map(|i| self.get(i)).chain([wide]).collect();
-                self.numbers = Numbers::Double(numbers);
-            }
-        }
-    }
-
-    fn get(&self, i: usize) -> f64 {
-        match &self.numbers {
-            Numbers::Whole(numbers) => numbers[i] as f64,
-            Numbers::Single(numbers) => f64::from(numbers[i]),
-            Numbers::Double(numbers) => numbers[i],
-        }
-    }
-
-    fn set(&mut self, i: usize, value: f64) {
-        match &mut self.numbers {
-            Numbers::Whole(numbers) => numbers[i] = value.round() as i64,
-            Numbers::Single(numbers) => numbers[i] = value as f32,
-            Numbers::Double(numbers) => numbers[i] = value,
-        }
-    }
-
-    /// A flag that is never set.
-    fn is_unused_flag(&self) -> bool {
-        let flag = self.name.ends_with("_invalid") && STANDARD.iter().any(|(_, name)| self.name == *name);
-        flag && (0..self.len()).all(|i| self.get(i) == 0.0)
-    }
-
-    fn into_attribute(self) -> Attribute {
-        let values = match self.numbers {
-            Numbers::Single(numbers) => Values::F32(numbers),
-            Numbers::Double(numbers) => Values::F64(numbers),
-            Numbers::Whole(numbers) => whole(numbers, self.lowest.min(0), self.highest),
-        };
-        Attribute { name: self.name, values }
-    }
-}
-
-/// Whole numbers in the narrowest type that holds all from `lowest` to `highest`.
-fn whole(numbers: Vec<i64>, lowest: i64, highest: i64) -> Values {
-    let unsigned = [(Kind::U8, 0xFF), (Kind::U16, 0xFFFF), (Kind::U32, 0xFFFF_FFFF), (Kind::U64, i64::MAX)];
-    let signed = [
-        (Kind::I8, i64::from(i8::MAX)),
-        (Kind::I16, i64::from(i16::MAX)),
-        (Kind::I32, i64::from(i32::MAX)),
-        (Kind::I64, i64::MAX),
-    ];
-    let kind = if lowest >= 0 {
-        unsigned.into_iter().find(|(_, most)| highest <= *most)
-    } else {
-        signed.into_iter().find(|(_, most)| highest <= *most && lowest >= -*most - 1)
-    };
-    let numbers = numbers.into_iter();
-    match kind.map_or(Kind::I64, |(kind, _)| kind) {
-        Kind::U8 => Values::U8(numbers.map(|n| n as u8).collect()),
-        Kind::U16 => Values::U16(numbers.map(|n| n as u16).collect()),
-        Kind::U32 => Values::U32(numbers.map(|n| n as u32).collect()),
-        Kind::U64 => Values::U64(numbers.map(|n| n as u64).collect()),
-        Kind::I8 => Values::I8(numbers.map(|n| n as i8).collect()),
-        Kind::I16 => Values::I16(numbers.map(|n| n as i16).collect()),
-        Kind::I32 => Values::I32(numbers.map(|n| n as i32).collect()),
-        _ => Values::I64(numbers.collect()),
-    }
 }

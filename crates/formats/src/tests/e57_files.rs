@@ -198,7 +198,12 @@ fn scans_are_read_where_they_stand_with_what_any_of_them_tells() {
         assert!((a - b).abs() < 1e-12, "{a} {b}");
     }
     let names: Vec<&str> = cloud.attributes.iter().map(|a| a.name.as_str()).collect();
-    assert_eq!(names, ["nx", "ny", "nz", "intensity", "row_index", "echo-width", "scan"]);
+    let flags = ["intensity_invalid", "row_index_invalid", "echo-width_invalid"];
+    assert_eq!(names[..6], ["nx", "ny", "nz", "intensity", "row_index", "echo-width"]);
+    assert_eq!((&names[6..9], names[9]), (&flags[..], "scan"));
+    for flag in flags {
+        assert_eq!(find(&cloud, flag), &Values::U8(vec![1, 1, 0, 0]), "{flag}");
+    }
     let ny = find(&cloud, "ny");
     assert!((ny.get(0) - 1.0).abs() < 1e-6 && (ny.get(1) - 1.0).abs() < 1e-6 && ny.get(2).is_nan());
     assert!(find(&cloud, "nx").get(1).abs() < 1e-6);
@@ -211,6 +216,64 @@ fn scans_are_read_where_they_stand_with_what_any_of_them_tells() {
     assert_eq!(cloud.origin.comments[..2], ["scanned by A", "at noon"]);
     assert!(cloud.origin.comments.contains(&"nx: told by 1 of 2 scans, nan in the others".to_owned()));
     assert_eq!(cloud.dropped_properties, ["1 points that the file calls invalid"]);
+}
+
+/// Two scans of two points: one with colours, of which the second is flagged, and one without any.
+fn half_coloured() -> Vec<u8> {
+    let mut file = Cursor::new(Vec::new());
+    let mut writer = E57Writer::new(&mut file, "guid").expect("a writer");
+    let axes = || {
+        [RecordName::CartesianX, RecordName::CartesianY, RecordName::CartesianZ]
+            .map(|name| record(name, RecordDataType::F64))
+    };
+    let byte = RecordDataType::Integer { min: 0, max: 255 };
+    let mut prototype = axes().to_vec();
+    prototype.extend([
+        record(RecordName::ColorRed, byte.clone()),
+        record(RecordName::ColorGreen, byte.clone()),
+        record(RecordName::ColorBlue, byte),
+        record(RecordName::IsColorInvalid, RecordDataType::Integer { min: 0, max: 1 }),
+        record(RecordName::Intensity, RecordDataType::F32),
+    ]);
+    let mut scan = writer.add_pointcloud("a", prototype).expect("a scan");
+    for (x, colour, flag) in [(1.0, 200, 0), (2.0, 0, 1)] {
+        let mut point = [x, 0.0, 0.0].map(RecordValue::Double).to_vec();
+        point.extend([colour, colour, colour, flag].map(RecordValue::Integer));
+        point.push(RecordValue::Single(0.5));
+        scan.add_point(point).expect("a point");
+    }
+    scan.finalize().expect("a scan");
+    let mut scan = writer.add_pointcloud("b", axes().to_vec()).expect("a scan");
+    for x in [3.0, 4.0] {
+        scan.add_point([x, 0.0, 0.0].map(RecordValue::Double).to_vec()).expect("a point");
+    }
+    scan.finalize().expect("a scan");
+    writer.finalize().expect("a file");
+    drop(writer);
+    file.into_inner()
+}
+
+#[test]
+fn what_a_scan_does_not_have_is_absent_and_not_zero() {
+    let cloud = read(&half_coloured()).expect("a cloud");
+    for colour in ["red", "green", "blue"] {
+        assert_eq!(find(&cloud, colour), &Values::U8(vec![200, 0, 0, 0]));
+    }
+    assert_eq!(find(&cloud, "color_invalid"), &Values::U8(vec![0, 1, 1, 1]));
+    assert_eq!(find(&cloud, "intensity_invalid"), &Values::U8(vec![0, 0, 1, 1]));
+    let intensity = find(&cloud, "intensity");
+    assert!(intensity.get(1) == 0.5 && intensity.get(2).is_nan());
+    let told = "red: told by 1 of 2 scans, color_invalid is 1 in the others".to_owned();
+    assert!(
+        cloud.origin.comments.contains(&told) && !cloud.origin.comments.concat().contains("color_invalid:")
+    );
+    // E57 has the same flags in columns of its own.
+    let again = made(&cloud);
+    let scans = ::e57::E57Reader::new(Cursor::new(&again)).expect("a file").pointclouds();
+    let has = |name: RecordName| scans.iter().all(|scan| scan.prototype.iter().any(|r| r.name == name));
+    assert!(has(RecordName::IsColorInvalid) && has(RecordName::IsIntensityInvalid));
+    let back = read(&again).expect("a cloud");
+    assert_eq!(find(&back, "color_invalid"), find(&cloud, "color_invalid"));
 }
 
 /// The checksum that ends each page, bit by bit.

@@ -1,7 +1,9 @@
 //! From the cascade's points to a result: the input's points among them, and what is known of each.
 
-use super::carry::{Near, carry, normal_of};
+use super::carry::carry;
 use super::keep::without_nearest;
+use super::near::Near;
+use super::plan::{Plan, normal_of};
 use super::rules::{Rule, Rules};
 use densecloud_cloud::{Attribute, Cloud, Frame, Origin, Point, Position, Values};
 use densecloud_geometry::{estimate_normals, indices};
@@ -32,7 +34,7 @@ impl Finish {
     /// Bytes that a result's point takes beside its position, where its source has these attributes.
     #[must_use]
     pub fn bytes_a_point(&self, source: &[Attribute]) -> u64 {
-        let kept = source.iter().filter(|a| self.rules.of(&a.name, a.values.kind()) != Rule::Drop);
+        let kept = source.iter().filter(|a| self.rules.set_for(&a.name) != Some(Rule::Drop));
         let kept: u64 = kept.map(|a| a.values.kind().size() as u64).sum();
         kept + 5 * u64::from(self.source_fields) + 12 * u64::from(self.estimate_normals)
     }
@@ -58,7 +60,7 @@ impl Finish {
     }
 }
 
-/// Finishes a result. `None` when `cancelled` says so in between, or when no source point is finite.
+/// Finishes a result, its attributes as planned for the cloud that `source` is or is a part of. `None` when `cancelled` says so in between, or when no source point is finite.
 ///
 /// Cost: that of [`carry()`](super::carry()), and with [`Finish::keep_input`] or
 /// [`Finish::estimate_normals`] a tree of the dense points and a few neighbours of each.
@@ -70,6 +72,7 @@ pub fn finish(
     source: &Cloud,
     mut dense: Vec<Position>,
     how: &Finish,
+    plan: &Plan,
     cancelled: &(dyn Fn() -> bool + Sync),
 ) -> Option<(Vec<Position>, Vec<Attribute>)> {
     let mut kept: Vec<u32> = Vec::new();
@@ -80,20 +83,17 @@ pub fn finish(
         originals = kept.iter().map(|&i| source.positions[i as usize]).collect();
         dense = without_nearest(dense, &originals)?;
     }
-    let mut attributes = carry(source, &dense, &how.rules, cancelled)?;
-    for attribute in &mut attributes {
-        // Rules keep names, so the source has each.
-        if let Some(own) = source.attributes.iter().find(|a| a.name == attribute.name) {
-            let mut values = own.values.gather(&kept);
-            values.append(&mut attribute.values);
-            attribute.values = values;
-        }
+    let mut attributes = carry(source, &dense, plan, cancelled)?;
+    for (attribute, own) in attributes.iter_mut().zip(plan.kept()) {
+        let mut values = source.attributes[own].values.gather(&kept);
+        values.append(&mut attribute.values);
+        attribute.values = values;
     }
     if how.source_fields {
         let near = Near::find(&source.positions, &dense, cancelled)?;
         attributes.retain(|a| a.name != "source_index" && a.name != "is_generated");
         let mut index = kept.clone();
-        index.extend(&near.nearest);
+        index.extend(near.nearest());
         attributes.push(Attribute { name: "source_index".into(), values: Values::U32(index) });
         let mut generated = vec![0; kept.len()];
         generated.resize(kept.len() + dense.len(), 1);
@@ -122,7 +122,11 @@ fn normals(
     let points: Vec<Point> = positions.iter().map(|p| frame.to_local(*p)).collect();
     let mut normals = estimate_normals(&points, NORMAL_NEIGHBOURS);
     drop(points);
-    let there = normal_of(attributes.iter().map(|a| (a.name.as_str(), a.values.kind())));
+    let there = normal_of(attributes);
+    if there.is_none() {
+        // Parts of what was left out otherwise.
+        attributes.retain(|a| !["nx", "ny", "nz"].contains(&a.name.as_str()));
+    }
     for (i, normal) in normals.iter_mut().enumerate() {
         let side: [f64; 3] = match (there, sensor) {
             (Some(axes), _) => axes.map(|a| attributes[a].values.get(i)),
@@ -179,7 +183,8 @@ mod tests {
     }
 
     fn run(source: &Cloud, dense: &Cloud, how: &Finish) -> (Vec<Position>, Vec<Attribute>) {
-        finish(source, dense.positions.clone(), how, &|| false).expect("a result")
+        let plan = Plan::of(&source.attributes, &how.rules);
+        finish(source, dense.positions.clone(), how, &plan, &|| false).expect("a result")
     }
 
     #[test]

@@ -1,11 +1,16 @@
-//! From the attributes of a cloud's points to those of a denser one: a rule for each, by its name and
-//! type, and the nearest points of the source.
+//! From the attributes of a cloud's points to those of a denser one: a plan for all of them, by what their names and
+//! values mean, and the nearest points of the source.
 
 mod carry;
 mod finish;
 mod keep;
+mod mean;
+mod near;
+mod plan;
 mod rules;
+mod vectors;
 
 pub use carry::carry;
 pub use finish::{Finish, finish};
+pub use plan::Plan;
 pub use rules::{Rule, Rules, RulesError};

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, HashSet};
 use std::fmt;
 use std::str::FromStr;
 
-use densecloud_cloud::Kind;
+use densecloud_cloud::{Role, Values};
 
 /// How a new point comes by its value of an attribute.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -17,15 +17,19 @@ pub enum Rule {
     Drop,
 }
 
-/// A rule for every attribute: those set by name, and for all others one by name and type.
-///
-/// | | |
-/// |---|---|
-/// | [`Rule::Mean`] | colours and intensity of any type, and every other float |
-/// | [`Rule::Nearest`] | integers other than those; and floats whose name has a word like `class`, `label`, `time`, `return` or `id` in it |
-///
-/// Three attributes that are a normal (`nx`, `ny`, `nz` or `normal_x` and so on) are interpolated as one
-/// vector; see [`super::carry()`].
+/// As it is set: `mean`, `nearest` or `drop`.
+impl fmt::Display for Rule {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Mean => "mean",
+            Self::Nearest => "nearest",
+            Self::Drop => "drop",
+        })
+    }
+}
+
+/// The rules that are set by name; all other attributes follow those by role, name and values: see
+/// [`Plan`](super::Plan).
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Rules {
     set: BTreeMap<String, Rule>,
@@ -49,28 +53,48 @@ pub enum RulesError {
     TooMany,
 }
 
-/// Names of attributes that are colours or intensities, in lower case.
-const SMOOTH: [&str; 20] = [
-    "red",
-    "green",
-    "blue",
-    "alpha",
-    "r",
-    "g",
-    "b",
-    "a",
-    "diffuse_red",
-    "diffuse_green",
-    "diffuse_blue",
-    "intensity",
-    "reflectance",
-    "reflectivity",
-    "amplitude",
-    "nir",
-    "infrared",
-    "scalar_intensity",
-    "scalar_reflectance",
-    "gray",
+/// Words in the names of attributes that measure something: floats of such a name are means though all may be whole.
+const MEASURES: [&str; 40] = [
+    "temperature",
+    "temp",
+    "heat",
+    "distance",
+    "dist",
+    "height",
+    "depth",
+    "elevation",
+    "altitude",
+    "density",
+    "curvature",
+    "roughness",
+    "quality",
+    "radius",
+    "diameter",
+    "width",
+    "length",
+    "size",
+    "thickness",
+    "area",
+    "volume",
+    "error",
+    "deviation",
+    "residual",
+    "std",
+    "sigma",
+    "variance",
+    "angle",
+    "slope",
+    "speed",
+    "velocity",
+    "pressure",
+    "humidity",
+    "moisture",
+    "power",
+    "energy",
+    "strength",
+    "score",
+    "probability",
+    "weight",
 ];
 
 /// Words in the names of attributes whose values name something, rather than measure it.
@@ -99,22 +123,10 @@ const NAMES: [&str; 21] = [
 ];
 
 impl Rules {
-    /// The rule of an attribute.
+    /// The rule that is set for an attribute of this name.
     #[must_use]
-    pub fn of(&self, name: &str, kind: Kind) -> Rule {
-        if let Some(rule) = self.set.get(name) {
-            return *rule;
-        }
-        let name = name.to_ascii_lowercase();
-        if SMOOTH.contains(&name.as_str()) {
-            return Rule::Mean;
-        }
-        // `ReturnNumber` has no separator; its words are in the list with one of them at an end.
-        let names = name.split(|c: char| !c.is_ascii_alphabetic()).any(|word| {
-            NAMES.contains(&word)
-                || ["classification", "number", "time", "returns", "label"].iter().any(|n| word.ends_with(n))
-        });
-        if kind.is_float() && !names { Rule::Mean } else { Rule::Nearest }
+    pub fn set_for(&self, name: &str) -> Option<Rule> {
+        self.set.get(name).copied()
     }
 
     /// Names that have a rule and are none of `names`: misspelt ones, most likely.
@@ -124,16 +136,104 @@ impl Rules {
     }
 }
 
+/// The rule of an attribute for which none is set.
+///
+/// A role decides first, then a word in the name, then the type: integers are from the nearest point. Of floats that do not
+/// measure something by their name the values decide: whole numbers that repeat ([`are_names`]) number something.
+pub(super) fn usual(role: Option<Role>, name: &str, values: &Values) -> Rule {
+    let nearest = match role {
+        Some(role) => !varies(role),
+        None => numbers_something(name) || !values.kind().is_float() || !measures(name) && are_names(values),
+    };
+    if nearest { Rule::Nearest } else { Rule::Mean }
+}
+
+/// Whether a role's values vary along a surface, so that there are values between two others.
+fn varies(role: Role) -> bool {
+    matches!(
+        role,
+        Role::X
+            | Role::Y
+            | Role::Z
+            | Role::Red
+            | Role::Green
+            | Role::Blue
+            | Role::Alpha
+            | Role::NearInfrared
+            | Role::Grey
+            | Role::NormalX
+            | Role::NormalY
+            | Role::NormalZ
+            | Role::Intensity
+            | Role::Reflectance
+            | Role::Amplitude
+            | Role::Ambient
+            | Role::Range
+            | Role::Confidence
+            | Role::RotationW
+            | Role::RotationX
+            | Role::RotationY
+            | Role::RotationZ
+            | Role::LogScaleX
+            | Role::LogScaleY
+            | Role::LogScaleZ
+            | Role::Opacity
+            | Role::HarmonicRed
+            | Role::HarmonicGreen
+            | Role::HarmonicBlue
+            | Role::Harmonic
+    )
+}
+
+fn numbers_something(name: &str) -> bool {
+    // `ReturnNumber` has no separator; its words are in the list with one of them at an end.
+    has_word(name, |word| {
+        NAMES.contains(&word)
+            || ["classification", "number", "time", "returns", "label"].iter().any(|n| word.ends_with(n))
+    })
+}
+
+fn measures(name: &str) -> bool {
+    has_word(name, |word| MEASURES.iter().any(|measure| word.ends_with(measure)))
+}
+
+fn has_word(name: &str, is_one: impl Fn(&str) -> bool) -> bool {
+    name.to_ascii_lowercase().split(|c: char| !c.is_ascii_alphabetic()).any(is_one)
+}
+
+/// Most different numbers that are counted, so that the count takes little memory.
+const MOST_DIFFERENT: usize = 1 << 20;
+
+/// Whether numbers number something, as far as they tell: all are whole (NaNs aside), and each stands at two points on
+/// average or more, so there are at most half as many different ones as there are numbers, and at most [`MOST_DIFFERENT`].
+///
+/// O(n), but mostly done at the first number that is not whole.
+fn are_names(values: &Values) -> bool {
+    let mut different: HashSet<u64> = HashSet::new();
+    let mut count = 0;
+    for i in 0..values.len() {
+        let number = values.get(i);
+        if number.is_nan() {
+            continue;
+        }
+        if number.fract() != 0.0 {
+            return false;
+        }
+        count += 1;
+        // Zero has two signs.
+        different.insert((number + 0.0).to_bits());
+        if different.len() > MOST_DIFFERENT.min(values.len() / 2) {
+            return false;
+        }
+    }
+    count > 0 && 2 * different.len() <= count
+}
+
 /// As [`FromStr`] reads it, by names; nothing where no rule is set.
 impl fmt::Display for Rules {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         for (i, (name, rule)) in self.set.iter().enumerate() {
             let comma = if i == 0 { "" } else { "," };
-            let rule = match rule {
-                Rule::Mean => "mean",
-                Rule::Nearest => "nearest",
-                Rule::Drop => "drop",
-            };
             write!(f, "{comma}{name}:{rule}")?;
         }
         Ok(())
@@ -172,19 +272,34 @@ impl FromStr for Rules {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use densecloud_cloud::Kind;
+
+    /// Numbers that say nothing.
+    fn reals(kind: Kind) -> Values {
+        Values::from_f64(kind, (0..100).map(|i| f64::from(i) * 1.37 + 0.5))
+    }
+
+    fn by_name(name: &str, values: &Values) -> Rule {
+        usual(Role::of(name), name, values)
+    }
 
     #[test]
     fn names_and_types_tell_the_rule() {
-        let rules = Rules::default();
         for (name, kind) in [
             ("red", Kind::U8),
+            ("Red", Kind::U16),
+            ("diffuse_green", Kind::U8),
+            ("Infrared", Kind::U16),
             ("Intensity", Kind::U16),
             ("scalar_Intensity", Kind::F32),
+            ("reflectivity", Kind::U16),
+            ("confidence", Kind::U8),
             ("curvature", Kind::F32),
             ("residual", Kind::F64),
             ("width", Kind::F32),
+            ("Elevation", Kind::I32),
         ] {
-            assert_eq!(rules.of(name, kind), Rule::Mean, "{name}");
+            assert_eq!(by_name(name, &reals(kind)), Rule::Mean, "{name}");
         }
         for (name, kind) in [
             ("label", Kind::I32),
@@ -194,17 +309,68 @@ mod tests {
             ("ReturnNumber", Kind::F32),
             ("point_id", Kind::F64),
             ("counts", Kind::U16),
+            ("scalar_Original_cloud_index", Kind::F32),
+            ("Point Source ID", Kind::F32),
+            ("laser_id", Kind::F32),
+            ("azimuth", Kind::F64),
+            ("my class", Kind::F32),
+            ("scalar_segment_of_tree", Kind::F32),
         ] {
-            assert_eq!(rules.of(name, kind), Rule::Nearest, "{name}");
+            assert_eq!(by_name(name, &reals(kind)), Rule::Nearest, "{name}");
         }
+    }
+
+    #[test]
+    fn floats_that_are_whole_and_repeat_name_something() {
+        let of = |numbers: Vec<f64>| by_name("tree", &Values::F64(numbers));
+        assert_eq!(of((0..100).map(|i| f64::from(i % 7)).collect()), Rule::Nearest);
+        assert_eq!(of(vec![3.0; 4]), Rule::Nearest);
+        assert_eq!(of(vec![0.0, -0.0, f64::NAN, f64::NAN]), Rule::Nearest);
+        assert_eq!(of((0..100).map(|i| f64::from(i / 2)).collect()), Rule::Nearest, "twice each");
+        assert_eq!(of((0..100).map(f64::from).collect()), Rule::Mean, "once each");
+        assert_eq!(of((0..100).map(|i| f64::from(i * 2 / 3)).collect()), Rule::Mean, "once or twice");
+        assert_eq!(of((0..100).map(|i| f64::from(i % 7) + 0.5).collect()), Rule::Mean);
+        assert_eq!(of(vec![1.0, 1.0, f64::INFINITY]), Rule::Mean);
+        assert_eq!(of(vec![f64::NAN; 9]), Rule::Mean);
+        assert_eq!(of(Vec::new()), Rule::Mean);
+        let many =
+            |count: u32| by_name("tree", &Values::F32((0..2 * count).map(|i| (i / 2) as f32).collect()));
+        assert_eq!(many(MOST_DIFFERENT as u32), Rule::Nearest);
+        assert_eq!(many(MOST_DIFFERENT as u32 + 1), Rule::Mean);
+        // What the name says is not up to the numbers.
+        for name in
+            ["intensity", "Red", "elevation", "reflectance", "temperature", "CanopyHeight", "scalar_C2C_dist"]
+        {
+            assert_eq!(by_name(name, &Values::F64(vec![400.0; 9])), Rule::Mean, "{name}");
+        }
+    }
+
+    /// The rows of the table of roles, as documented.
+    fn documented() -> String {
+        let row = |role: Role| {
+            let rule = usual(Some(role), "", &reals(Kind::F32));
+            let others: Vec<String> = role.others().iter().map(|name| format!("`{name}`")).collect();
+            let number = if role == Role::Harmonic { "_0` and so on" } else { "`" };
+            format!("| `{}{number} | {} | {rule} |\n", role.name(), others.join(", "))
+        };
+        Role::all().map(row).collect()
+    }
+
+    #[test]
+    fn the_table_of_roles_is_documented() {
+        let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/attributes.md");
+        let text = std::fs::read_to_string(file).expect("the page");
+        let table = documented();
+        assert!(text.contains(&table), "docs/attributes.md should have:\n{table}");
     }
 
     #[test]
     fn rules_are_set_by_name() {
         let rules: Rules = "red:nearest,a:b:drop,label:mean".parse().expect("rules");
-        assert_eq!(rules.of("red", Kind::U8), Rule::Nearest);
-        assert_eq!(rules.of("a:b", Kind::U8), Rule::Drop);
-        assert_eq!(rules.of("label", Kind::U8), Rule::Mean);
+        assert_eq!(rules.set_for("red"), Some(Rule::Nearest));
+        assert_eq!(rules.set_for("a:b"), Some(Rule::Drop));
+        assert_eq!(rules.set_for("label"), Some(Rule::Mean));
+        assert_eq!(rules.set_for("Red"), None);
         assert_eq!(rules.unknown(&["red", "label"]).collect::<Vec<_>>(), ["a:b"]);
         for bad in ["", "red", "red:", ":mean", "red:Mean", "red:mean,"] {
             assert!(matches!(bad.parse::<Rules>(), Err(RulesError::Malformed(_))), "{bad}");

@@ -12,7 +12,7 @@ mod splat;
 
 use std::io::Write;
 
-use densecloud_cloud::{Cloud, Frame, Point, Position, Values};
+use densecloud_cloud::{Cloud, Frame, Point, Position, Role, Values, column_of};
 use densecloud_geometry::{KdTree, estimate_normals};
 
 use camera::Camera;
@@ -133,18 +133,23 @@ pub(crate) enum PictureError {
 pub(crate) struct Subject<'a> {
     /// Where its points are.
     pub(crate) positions: &'a [Position],
-    /// `red`, `green` and `blue` of each point, in sRGB, if it has them: see [`Subject::of`] for their range.
+    /// Red, green and blue of each point, in sRGB, if it has them: see [`Subject::of`] for their range.
     pub(crate) colours: Option<[&'a Values; 3]>,
+    /// Where this is not 0, a point has no colour.
+    pub(crate) invalid: Option<&'a Values>,
 }
 
 impl<'a> Subject<'a> {
-    /// A cloud with the attributes `red`, `green` and `blue`, if it has them: integers of 8 bits from 0 to 255;
-    /// others, and floats, from 0 to the first of 1, 255 and 65,535 that none of them exceeds.
+    /// A cloud with its colours, whatever their names are (`red`, `R`, `diffuse_red`): integers of 8 bits from 0 to 255;
+    /// others, and floats, from 0 to the first of 1, 255 and 65,535 that none of them exceeds. Points whose colour is
+    /// absent are grey: where a part is no number, or a flag calls it invalid.
     #[must_use]
     pub(crate) fn of(cloud: &'a Cloud) -> Self {
-        let find = |name: &str| cloud.attributes.iter().find(|a| a.name == name).map(|a| &a.values);
-        let colours = find("red").zip(find("green")).zip(find("blue")).map(|((r, g), b)| [r, g, b]);
-        Self { positions: &cloud.positions, colours }
+        let names: Vec<&str> = cloud.attributes.iter().map(|a| a.name.as_str()).collect();
+        let find = |role| column_of(&names, role).map(|i| &cloud.attributes[i].values);
+        let colours = find(Role::Red).zip(find(Role::Green)).zip(find(Role::Blue));
+        let colours = colours.map(|((r, g), b)| [r, g, b]);
+        Self { positions: &cloud.positions, colours, invalid: find(Role::ColourInvalid) }
     }
 
     /// The linear colour of each point.
@@ -161,17 +166,21 @@ impl<'a> Subject<'a> {
             m if m <= 255.0 => 255.0,
             _ => 65_535.0,
         };
-        (0..self.positions.len()).map(|i| colours.map(|c| shade::decode(c.get(i) / full))).collect()
+        let absent = |i: usize| {
+            self.invalid.is_some_and(|flag| flag.get(i) != 0.0) || colours.iter().any(|c| c.get(i).is_nan())
+        };
+        let tint = |i| if absent(i) { GREY } else { colours.map(|c| shade::decode(c.get(i) / full)) };
+        (0..self.positions.len()).map(tint).collect()
     }
 }
 
 impl<'a> From<&'a [Position]> for Subject<'a> {
     fn from(positions: &'a [Position]) -> Self {
-        Self { positions, colours: None }
+        Self { positions, colours: None, invalid: None }
     }
 }
 
-/// Of clouds without colours.
+/// Of points without a colour.
 const GREY: Rgb = [0.5; 3];
 
 /// Draws the clouds side by side, all from the same place with the same disc size, so that they
@@ -392,7 +401,24 @@ mod tests {
             let settings = Settings { shade: Shade::Colour, ..small() };
             pictures.push(render(&[Subject::of(&cloud)], &settings).expect("an image"));
         }
+        let own = |names: [&str; 3], flags: Option<u8>| {
+            let values = [red(255.0, Kind::U8), none(Kind::U8), none(Kind::U8)];
+            let columns =
+                names.into_iter().zip(values).map(|(name, values)| Attribute { name: name.into(), values });
+            let mut attributes: Vec<Attribute> = columns.collect();
+            attributes.extend(flags.map(|flag| Attribute {
+                name: "color_invalid".into(),
+                values: Values::U8(vec![flag; positions.len()]),
+            }));
+            let cloud = Cloud { positions: positions.clone(), attributes, ..Cloud::default() };
+            let settings = Settings { shade: Shade::Colour, ..small() };
+            render(&[Subject::of(&cloud)], &settings).expect("an image")
+        };
+        pictures.push(own(["R", "G", "B"], None));
+        pictures.push(own(["diffuse_red", "Diffuse Green", "RGB:2"], Some(0)));
         assert!(pictures.iter().all(|p| *p == pictures[0]));
+        let is_grey = |image: Image| image.rgb.chunks_exact(3).all(|p| p[0].abs_diff(p[1]) < 30);
+        assert!(is_grey(own(["red", "green", "blue"], Some(1))) && is_grey(own(["R", "G", "none"], None)));
         let reddish = pictures[0].rgb.chunks_exact(3).filter(|p| p[0] > 150 && p[1] < 60).count();
         assert!(reddish > 80 * 64 / 10, "{reddish}");
     }

@@ -1,0 +1,82 @@
+//! The source points that a new point's values come from.
+
+use rayon::prelude::*;
+
+use densecloud_cloud::{Frame, Point, Position};
+use densecloud_geometry::{KdTree, Walk, indices};
+
+/// Source points that a mean is taken over; the last one only sets how far the others reach.
+const NEAREST: usize = 6;
+
+/// New points looked up between two questions whether to stop.
+const BLOCK: usize = 1 << 16;
+
+/// Rows of the source and their weights, the nearest first: those of weight 0 have no part.
+pub(super) type Weighted = [(u32, f32); NEAREST - 1];
+
+/// For each new point its nearest source points, by their rows in the source.
+pub(super) struct Near {
+    pub(super) weighted: Vec<Weighted>,
+}
+
+impl Near {
+    /// Looks them up. None when `cancelled` says so, or when no source point is finite.
+    pub(super) fn find(
+        source: &[Position],
+        dense: &[Position],
+        cancelled: &(dyn Fn() -> bool + Sync),
+    ) -> Option<Self> {
+        let finite = |p: &Position| p.iter().all(|c| c.is_finite());
+        let rows: Vec<u32> = indices(source.len()).filter(|&i| finite(&source[i as usize])).collect();
+        let positions: Vec<Position> = rows.iter().map(|&i| source[i as usize]).collect();
+        let frame = Frame::fit(&positions).ok()?;
+        let points: Vec<Point> = positions.iter().map(|p| frame.to_local(*p)).collect();
+        drop(positions);
+        let tree = KdTree::new(&points);
+        let k = NEAREST.min(points.len());
+        let look = |walk: &mut Walk, p: &Position| {
+            tree.nearest_next(frame.to_local(*p), k, walk);
+            let reach = walk.found.last().map_or(0.0, |n| n.distance_squared.sqrt());
+            let mut weighted = [(rows[walk.found[0].index as usize], 0.0); NEAREST - 1];
+            for (slot, n) in weighted.iter_mut().zip(&walk.found) {
+                let d = n.distance_squared.sqrt();
+                *slot = (rows[n.index as usize], ((reach - d) / (reach * d)).powi(2));
+            }
+            // On a source point, or between points that are all the same distance away.
+            let exact = walk.found[0].distance_squared == 0.0;
+            if exact
+                || weighted.iter().all(|(_, w)| *w <= 0.0)
+                || weighted.iter().any(|(_, w)| !w.is_finite())
+            {
+                weighted = [(weighted[0].0, 0.0); NEAREST - 1];
+                weighted[0].1 = 1.0;
+            }
+            weighted
+        };
+        let mut weighted = Vec::with_capacity(dense.len());
+        for block in dense.chunks(BLOCK) {
+            if cancelled() {
+                return None;
+            }
+            weighted.par_extend(block.par_iter().map_init(Walk::default, look));
+        }
+        Some(Self { weighted })
+    }
+
+    /// The row of the nearest source point of each.
+    pub(super) fn nearest(&self) -> impl Iterator<Item = u32> {
+        self.weighted.iter().map(|near| near[0].0)
+    }
+}
+
+/// Which source points have a value; none where all have.
+pub(super) type Present = Option<Vec<bool>>;
+
+/// The source points of a new point that have a value and a weight, the nearest first.
+pub(super) fn those_with<'a>(
+    near: &'a Weighted,
+    present: &'a Present,
+) -> impl Iterator<Item = (usize, f64)> + 'a {
+    let all = near.iter().map(|&(row, weight)| (row as usize, f64::from(weight)));
+    all.filter(move |(row, weight)| *weight > 0.0 && present.as_ref().is_none_or(|p| p[*row]))
+}
