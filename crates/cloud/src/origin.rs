@@ -16,6 +16,8 @@ pub struct Origin {
     pub comments: Vec<String>,
     /// Where the sensor stood, in the file's own coordinates.
     pub sensor: Option<[f64; 3]>,
+    /// Where the sensors stood, where there were several, or one in several places.
+    pub sensors: Option<Arc<Sensors>>,
     /// How the sensor was turned there: a quaternion, the real part first.
     pub orientation: Option<[f64; 4]>,
     /// SHA-256 over all bytes of the file.
@@ -45,6 +47,25 @@ impl Origin {
             self.tables.iter().cloned().partition(Table::refers_to_points);
         self.tables = Arc::new(kept);
         dropped.into_iter().map(|table| table.name).collect()
+    }
+}
+
+/// Where the sensors of a cloud of several scans stood.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Sensors {
+    /// The attribute that tells of each point which scan it is of, counted from 0.
+    pub attribute: String,
+    /// Where each scan's sensor stood, in the file's own coordinates; none where the file does not say.
+    pub places: Vec<Option<[f64; 3]>>,
+}
+
+impl Sensors {
+    /// Where the sensor of a point stood, by the point's value of the [attribute](Self::attribute).
+    #[must_use]
+    pub fn of(&self, scan: f64) -> Option<[f64; 3]> {
+        let is_number = scan.fract() == 0.0 && scan >= 0.0;
+        // Saturates, which is beyond the end.
+        self.places.get(scan as usize).copied().flatten().filter(|_| is_number)
     }
 }
 

@@ -3,6 +3,7 @@
 use std::fmt;
 use std::path::Path;
 
+use super::FormatError;
 use super::registry::{self, Format};
 use densecloud_cloud::{Attribute, Origin, Position};
 
@@ -46,13 +47,41 @@ impl Format {
     /// Case is ignored.
     #[must_use]
     pub fn from_extension(path: &Path) -> Option<Self> {
-        registry::from_extension(&path.extension()?.to_str()?.to_ascii_lowercase())
+        let lower = |name: &std::ffi::OsStr| Some(name.to_str()?.to_ascii_lowercase());
+        let by_name = path.file_name().and_then(lower).and_then(|name| registry::from_name(&name));
+        by_name.or_else(|| registry::from_extension(&path.extension().and_then(lower)?))
+    }
+
+    /// The format that the name of an output asks for: as [`from_extension`](Self::from_extension), and none for a name
+    /// without an extension, or `-`.
+    ///
+    /// # Errors
+    /// [`FormatError::NotWritten`] for an extension of nothing that is written, with those that are: what has that name
+    /// would not be what it says.
+    pub fn of_output(path: &Path) -> Result<Option<Self>, FormatError> {
+        let Some(extension) = path.extension() else { return Ok(None) };
+        if let Some(format) = Self::from_extension(path).filter(|format| format.is_written()) {
+            return Ok(Some(format));
+        }
+        let (extension, endings) = (extension.to_string_lossy(), registry::endings());
+        let (last, others) = endings.split_last().map_or(("", &[][..]), |(last, others)| (last, others));
+        Err(FormatError::NotWritten(format!(
+            "nothing is written as `.{extension}`; names of outputs end in {} or {last}",
+            others.join(", ")
+        )))
     }
 
     /// Whether both are of one kind, whatever the choices within it.
     #[must_use]
     pub fn is_like(self, other: Self) -> bool {
         std::mem::discriminant(&self) == std::mem::discriminant(&other)
+    }
+
+    /// Whether files of both go by the same names: LAS and LAZ do not.
+    #[must_use]
+    pub fn is_named_like(self, other: Self) -> bool {
+        let is_text = |format: Self| format.media_type().starts_with("text/");
+        self.is_like(other) && is_text(self) == is_text(other) && self.is_packed() == other.is_packed()
     }
 
     /// Whether clouds are written in it, and not only read.

@@ -32,6 +32,17 @@ pub(crate) trait Kind: Choices + Copy + 'static {
     /// The media types that it is written as, without parameters.
     const MEDIA_TYPES: &'static [&'static str];
 
+    /// The extensions, in lower case, of what is written in it.
+    const EXTENSIONS: &'static [&'static str];
+
+    /// The whole names, of what is written in it, that tell more than their extension does.
+    const FILES: &'static [&'static str] = &[];
+
+    /// The choices that a file's whole name, in lower case, asks for, whatever its extension.
+    fn from_name(_name: &str) -> Option<Self> {
+        None
+    }
+
     /// The choices that a file's extension, in lower case, asks for.
     fn from_extension(extension: &str) -> Option<Self>;
 
@@ -49,6 +60,8 @@ pub(crate) trait Kind: Choices + Copy + 'static {
 pub(crate) enum Mark {
     /// By bytes that nothing else begins with.
     Bytes(fn(&[u8]) -> bool),
+    /// By nothing but what a person says, or its name.
+    None,
     /// By its first lines. Asked of text that no format's bytes match, in the registry's order.
     Lines(fn(&[u8]) -> bool),
 }

@@ -33,11 +33,13 @@
 //! # Ok::<(), densecloud_formats::FormatError>(())
 //! ```
 
+mod axes;
 mod columns;
 mod error;
 mod first_bytes;
 mod format;
 mod kind;
+mod known;
 mod layers;
 mod mesh;
 mod numbers;
@@ -52,12 +54,14 @@ mod text;
 mod writer;
 
 mod e57;
+mod kitti;
 mod las;
 mod npy;
 mod obj;
 mod off;
 mod pcd;
 mod ply;
+mod ptx;
 mod xyz;
 
 pub use error::{FormatError, Place};

@@ -45,6 +45,7 @@ impl kind::Kind for Obj {
     const NAMES: &'static [&'static str] = &["obj"];
     const BEGINNING: Option<&'static str> = Some("lines such as `v 1 2 3`");
     const MEDIA_TYPES: &'static [&'static str] = &[];
+    const EXTENSIONS: &'static [&'static str] = &[];
 
     fn from_extension(extension: &str) -> Option<Self> {
         (extension == "obj").then_some(Self)

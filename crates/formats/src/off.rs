@@ -26,6 +26,7 @@ impl Kind for Off {
     const NAMES: &'static [&'static str] = &["off"];
     const BEGINNING: Option<&'static str> = Some("`OFF`");
     const MEDIA_TYPES: &'static [&'static str] = &[];
+    const EXTENSIONS: &'static [&'static str] = &[];
 
     fn from_extension(extension: &str) -> Option<Self> {
         (extension == "off").then_some(Self)

@@ -7,6 +7,7 @@ use std::path::Path;
 use super::columns::TextColumn;
 use super::first_bytes::ENOUGH;
 use super::kind::Opened;
+use super::known;
 use super::registry::{self, Found};
 use super::source::{Input, Source};
 use super::text::shown;
@@ -143,13 +144,12 @@ impl<'r> CloudReader<'r> {
         Self::open_input(Input::of_file(file)?, limits, reading, None)
     }
 
-    /// As [`open_as`](Self::open_as); `expected` is the format that the file's name tells. Content wins, but
-    /// text under the name of another format is refused rather than taken for points.
+    /// As [`open_as`](Self::open_as), of a file of this name.
     fn open_input(
         input: Input<'r>,
         limits: Limits,
         reading: &Reading,
-        expected: Option<Format>,
+        name: Option<&Path>,
     ) -> Result<Self, FormatError> {
         let asked = reading.format.and_then(|format| registry::by_name(format.name()));
         // Numbers in binary may begin like UTF-16.
@@ -157,14 +157,7 @@ impl<'r> CloudReader<'r> {
         let mut source = Source::new(input, limits, transcode)?;
         let found = match asked {
             Some(found) => found,
-            None => {
-                let found = recognise(source.peek(ENOUGH)?)?;
-                if let (true, Some(begins)) = (found.is_bare, expected.and_then(Format::beginning)) {
-                    let found = format!("text that does not begin with {begins}");
-                    return Err(FormatError::Unrecognised { found });
-                }
-                found
-            }
+            None => recognise(source.peek(ENOUGH)?, name)?,
         };
         let Opened { header, points } = (found.open)(&mut source, limits, reading)?;
         Ok(Self { source, header, points, unheeded: reading.unheeded(found.heeds), given: 0 })
@@ -263,24 +256,36 @@ pub fn read_cloud_file(path: &Path) -> Result<(Cloud, Header), FormatError> {
 /// # Errors
 /// As [`read_cloud_file`], or the file is not what `reading` says.
 pub fn read_cloud_file_as(path: &Path, reading: &Reading) -> Result<(Cloud, Header), FormatError> {
-    let expected = Format::from_extension(path);
     let input = Input::of_file(File::open(path)?)?;
-    let reader = CloudReader::open_input(input, Limits::default(), reading, expected)?;
+    let reader = CloudReader::open_input(input, Limits::default(), reading, Some(path))?;
     let header = reader.header.clone();
     Ok((reader.read()?, header))
 }
 
-/// First bytes of formats that people will try, to name them in the refusal.
-const KNOWN: [(&[u8], &str); 5] = [
-    (b"\x28\xB5\x2F\xFD", "a Zstandard file"),
-    (b"PK\x03\x04", "a ZIP file (an .npz is one; unpack it)"),
-    (b"glTF", "a glTF mesh"),
-    (b"solid ", "an STL mesh"),
-    (b"\x89HDF", "an HDF5 file"),
-];
+/// The format of a file that begins with `head` and has this name, if it has one. Content wins, but text under the name of
+/// another format is refused rather than taken for points.
+fn recognise(head: &[u8], name: Option<&Path>) -> Result<Found, FormatError> {
+    match (by_content(head), name) {
+        (Ok(found), Some(_)) if !found.is_bare => Ok(found),
+        (found, None) => found,
+        (found, Some(name)) => {
+            if let (Some(named), false) = (registry::by_file(name), head.is_empty()) {
+                return Ok(named);
+            }
+            let found = found?;
+            match Format::from_extension(name).and_then(Format::beginning) {
+                Some(begins) => {
+                    let found = format!("text that does not begin with {begins}");
+                    Err(FormatError::Unrecognised { found })
+                }
+                None => Ok(found),
+            }
+        }
+    }
+}
 
 /// The format of a file that begins with `head`.
-fn recognise(head: &[u8]) -> Result<Found, FormatError> {
+fn by_content(head: &[u8]) -> Result<Found, FormatError> {
     if head.is_empty() {
         return Err(FormatError::Empty("points"));
     }
@@ -288,12 +293,14 @@ fn recognise(head: &[u8]) -> Result<Found, FormatError> {
         return Ok(found);
     }
     let unknown = |found: String| FormatError::Unrecognised { found };
-    if let Some((_, name)) = KNOWN.iter().find(|(magic, _)| head.starts_with(magic)) {
-        return Err(unknown((*name).to_owned()));
+    if let Some(name) = known::name(head) {
+        return Err(unknown(name));
     }
-    let is_control = |b: &u8| *b < 0x20 && !b.is_ascii_whitespace() && !matches!(*b, 0x0B | 0x1A);
-    if head.iter().any(is_control) {
-        return Err(unknown(format!("binary data that begin with {}", shown(&head[..head.len().min(8)]))));
+    if known::is_binary(head) {
+        let (begin, names) = (shown(&head[..head.len().min(8)]), registry::unmarked().join(", "));
+        return Err(unknown(format!(
+            "binary data that begin with {begin} (--format reads what nothing tells: {names})"
+        )));
     }
     registry::by_lines(head).ok_or_else(|| unknown("text".to_owned()))
 }

@@ -2,11 +2,13 @@
 //!
 //! Formats of text are asked in this order. Plain columns of numbers come last, since any text could be that.
 
+use std::path::Path;
+
 use super::kind::{Choices, Kind, Mark, Opened};
 use super::source::Source;
 use super::{
-    FormatError, Limits, PcdEncoding, PlyEncoding, Reading, Scalar, Separator, e57, las, npy, obj, off, pcd,
-    ply, xyz,
+    FormatError, Limits, PcdEncoding, PlyEncoding, Reading, Scalar, Separator, e57, kitti, las, npy, obj,
+    off, pcd, ply, ptx, xyz,
 };
 
 /// Declares [`Format`] and the ways from it to the formats' modules.
@@ -84,6 +86,13 @@ formats! {
     off::Off
     /// Wavefront OBJ, read only: the vertices of a mesh.
     obj::Obj
+    /// Leica's PTX, read only: scans, each where its pose puts it.
+    ptx::Ptx
+    /// A sweep of bare 32-bit floats, as KITTI and nuScenes have it, read only.
+    kitti::Kitti {
+        /// Whether a point has a fifth number, its ring, as in nuScenes.
+        ring: bool,
+    }
     /// Text, a point a line: `.xyz`, `.txt`, `.asc`, `.pts`, `.pwn`, `.csv`. Written with the
     /// position first.
     xyz::Xyz {
@@ -103,6 +112,9 @@ struct Registered {
     names: &'static [&'static str],
     heeds: &'static [&'static str],
     media_types: &'static [&'static str],
+    extensions: &'static [&'static str],
+    files: &'static [&'static str],
+    from_name: fn(&str) -> Option<Format>,
     from_extension: fn(&str) -> Option<Format>,
     from_media_type: fn(&str) -> Option<Format>,
     open: Open,
@@ -121,6 +133,9 @@ impl Registered {
             names: K::NAMES,
             heeds: K::HEEDS,
             media_types: K::MEDIA_TYPES,
+            extensions: K::EXTENSIONS,
+            files: K::FILES,
+            from_name: |name| K::from_name(name).map(Format::from),
             from_extension: |extension| K::from_extension(extension).map(Format::from),
             from_media_type: |media_type| K::from_media_type(media_type).map(Format::from),
             open: K::open,
@@ -128,6 +143,30 @@ impl Registered {
             header_end: K::HEADER_END,
         }
     }
+}
+
+/// The format that a whole name, in lower case, asks for, whatever its extension.
+pub(crate) fn from_name(name: &str) -> Option<Format> {
+    KINDS.iter().find_map(|kind| (kind.from_name)(name))
+}
+
+/// The format of a file of this name, where the whole of it tells.
+pub(crate) fn by_file(path: &Path) -> Option<Found> {
+    let name = path.file_name()?.to_str()?;
+    find(|kind| kind.files.iter().any(|file| file.eq_ignore_ascii_case(name)))
+}
+
+/// The names of the formats that nothing in a file tells.
+pub(crate) fn unmarked() -> Vec<&'static str> {
+    let unmarked = KINDS.iter().filter(|kind| matches!(kind.mark, Mark::None));
+    unmarked.flat_map(|kind| kind.names).copied().collect()
+}
+
+/// How names end that outputs have: extensions with their dot, and whole names.
+pub(crate) fn endings() -> Vec<String> {
+    let extensions = KINDS.iter().flat_map(|kind| kind.extensions).map(|extension| format!(".{extension}"));
+    let names = KINDS.iter().flat_map(|kind| kind.files).map(|name| (*name).to_owned());
+    extensions.chain(names).collect()
 }
 
 /// The format that an extension, in lower case, asks for.

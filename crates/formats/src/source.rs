@@ -72,7 +72,7 @@ impl<'r> Source<'r> {
             line: 0,
             newline: b'\n',
         };
-        if source.peek(3)? == BOM {
+        if transcode && source.peek(3)? == BOM {
             source.consume(3);
         }
         let head = source.peek(4096)?;

@@ -4,12 +4,15 @@ mod blocks;
 mod broken;
 mod e57_files;
 mod findings;
+mod kitti_files;
+mod known;
 mod las_files;
 mod layers;
 mod mesh_clouds;
 mod meshes;
 mod npy_files;
 mod pcd_files;
+mod ptx_files;
 mod round_trips;
 mod text;
 

@@ -130,16 +130,19 @@ impl Upsampler {
     /// is in the [`Report`] alone then.
     ///
     /// # Errors
-    /// The same; [`FormatError::NotWritten`] for an extension such as `.obj`, which is read only.
+    /// The same; [`FormatError::NotWritten`] for an extension such as `.stl` or `.obj`, which nothing is written as.
     pub fn upsample_file(
         &self,
         input: &Path,
         output: &Path,
         mut options: Options,
     ) -> Result<Report, UpsampleError> {
-        options.format = options.format.or(Format::from_extension(output));
-        if let Some(format) = options.format.filter(|format| format.written() != *format) {
-            return Err(FormatError::NotWritten(format!("{format} is read only; write PLY (.ply)")).into());
+        match options.format {
+            None => options.format = Format::of_output(output)?,
+            Some(format) if !format.is_written() => {
+                return Err(FormatError::NotWritten(format!("{format} is read only")).into());
+            }
+            Some(_) => {}
         }
         let dense = self.upsample(Input::read_as(input, &options.reading)?, options)?;
         let file = BufWriter::new(File::create(output).map_err(FormatError::from)?);

@@ -50,6 +50,11 @@ pub(super) fn write_cloud(
     })
 }
 
+/// The format that an output's name asks for, if it asks for any.
+pub(super) fn wanted(path: &Path) -> Result<Option<Format>, CliError> {
+    Format::of_output(path).map_err(|why| CliError::Usage(format!("{}: {why}", path.display())))
+}
+
 /// Prints to standard output. A reader that has seen enough may close the pipe.
 pub(super) fn print(text: &str) -> Result<(), CliError> {
     let mut stdout = io::stdout().lock();

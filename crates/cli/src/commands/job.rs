@@ -11,8 +11,9 @@ use ureq::Body;
 use ureq::http::Response;
 
 use super::options::{GOALS, OptionArgs};
-use super::remote::{Expected, Server, Show};
+use super::remote::{Expected, Server, Show, media_type};
 use super::{CliError, files};
+use densecloud_formats::Format;
 
 /// Jobs of a server: leave a cloud there, come back for the dense one.
 #[derive(Debug, Args)]
@@ -201,8 +202,16 @@ fn ended(server: &Server, job: &Value) -> Result<(), CliError> {
 }
 
 fn get(server: &Server, id: &str, output: &std::path::Path, quiet: bool) -> Result<(), CliError> {
+    let wanted = files::wanted(output)?;
     let result = server.get(&format!("/jobs/{id}/result"), Expected::Cloud)?;
-    server.save(result, output, &Show { quiet })
+    let told = Format::from_media_type(media_type(&result));
+    match (wanted, told) {
+        (Some(wanted), Some(told)) if !told.is_named_like(wanted) => Err(CliError::Usage(format!(
+            "{}: the job's result is {told}, and would be so under this name; a job's format is that of `submit --accept`",
+            output.display()
+        ))),
+        _ => server.save(result, output, &Show { quiet }),
+    }
 }
 
 fn text(value: &Value) -> &str {

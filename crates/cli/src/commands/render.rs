@@ -80,6 +80,7 @@ enum AxisName {
 }
 
 pub(super) fn run(args: &RenderArgs) -> Result<(), CliError> {
+    check_name(&args.out)?;
     let reading = args.reading.reading()?;
     let read = |path: &PathBuf| Ok(files::read_cloud(path, &reading)?.0);
     let clouds: Vec<Cloud> =
@@ -90,6 +91,16 @@ pub(super) fn run(args: &RenderArgs) -> Result<(), CliError> {
         PictureError::Size { .. } | PictureError::NotFinite => CliError::Usage(why.to_string()),
     })?;
     files::write(Path::new(&args.out), |sink| Ok(image.write_png(sink)?))
+}
+
+/// Refuses the name of another kind of picture, or of a cloud.
+fn check_name(out: &Path) -> Result<(), CliError> {
+    match out.extension() {
+        Some(extension) if !extension.eq_ignore_ascii_case("png") => {
+            Err(CliError::Usage(format!("{}: pictures are PNG files; name it .png", out.display())))
+        }
+        _ => Ok(()),
+    }
 }
 
 fn settings(args: &RenderArgs) -> picture::Settings {

@@ -76,7 +76,7 @@ fn outputs(out: &Path, points: &[usize]) -> Result<Vec<(PathBuf, Format)>, CliEr
             "{text}: with several --points the output name must contain {{points}}, for example cloud_{{points}}.ply"
         )));
     }
-    let format = match Format::from_extension(out) {
+    let format = match files::wanted(out)? {
         Some(format) => format,
         None if files::is_stream(out) => Format::TEXT,
         None => {

@@ -7,7 +7,6 @@ use std::time::{Duration, Instant};
 use clap::{ArgGroup, Args};
 use densecloud::{Options, PrepareError, Prepared};
 use densecloud_engine::{EngineError, Outcome, Pending, ProgressHandle};
-use densecloud_formats::Format;
 use indicatif::{ProgressBar, ProgressStyle};
 
 use super::engine_args::EngineArgs;
@@ -55,12 +54,7 @@ pub(super) struct UpsampleArgs {
 pub(super) const PROVENANCE: &str = ".provenance.txt";
 
 pub(super) fn run(args: &UpsampleArgs) -> Result<(), CliError> {
-    let wanted = Format::from_extension(&args.output);
-    if wanted.is_some_and(|wanted| wanted.written() != wanted) {
-        let why = "OFF and OBJ are read, not written; write PLY (.ply), which holds every attribute";
-        return Err(CliError::Usage(why.into()));
-    }
-    let options = Options { format: wanted, ..args.options.options()? };
+    let options = Options { format: files::wanted(&args.output)?, ..args.options.options()? };
     if let Some(url) = &args.server {
         return upsample_remote::run(args, &options, url);
     }

@@ -27,6 +27,7 @@ impl Kind for E57 {
     const NAMES: &'static [&'static str] = &["e57"];
     const BEGINNING: Option<&'static str> = Some("`ASTM-E57`");
     const MEDIA_TYPES: &'static [&'static str] = &["model/e57"];
+    const EXTENSIONS: &'static [&'static str] = &["e57"];
 
     fn from_extension(extension: &str) -> Option<Self> {
         (extension == "e57").then_some(Self)

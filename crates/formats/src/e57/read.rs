@@ -2,6 +2,7 @@
 
 use std::io::{self, Seek};
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Arc;
 
 use ::e57::{E57Reader, PointCloud, Record, RecordDataType, RecordName, Transform};
 
@@ -12,7 +13,7 @@ use super::super::spool::Spool;
 use super::super::{Format, FormatError, Header, Limits, Place};
 use super::column::{Column, flag_absent, whole};
 use super::{NORMALS, SCAN, STANDARD, untag};
-use densecloud_cloud::{Attribute, Cloud, Position};
+use densecloud_cloud::{Attribute, Cloud, Position, Sensors};
 
 /// Bytes of the header of a file.
 const HEADER: usize = 48;
@@ -134,14 +135,19 @@ fn decode(mut file: Spool, end: Place, limits: Limits) -> Result<Cloud, FormatEr
         }
         scan_numbers.resize(to, scan_number);
     }
-    if let [scan] = scans.as_slice() {
-        cloud.origin.sensor =
-            scan.transform.as_ref().map(|t| [t.translation.x, t.translation.y, t.translation.z]);
-    }
+    let place = |scan: &PointCloud| {
+        scan.transform.as_ref().map(|t| [t.translation.x, t.translation.y, t.translation.z])
+    };
+    let places: Vec<Option<Position>> = scans.iter().map(place).collect();
     let text = reader.coordinate_metadata().map(str::trim).filter(|text| !text.is_empty());
     // Parsing cannot fail.
     cloud.origin.crs = text.and_then(|text| text.parse().ok());
     let scan_name = free_name(&columns, SCAN);
+    match places.as_slice() {
+        [place] => cloud.origin.sensor = *place,
+        _ if places.iter().all(Option::is_none) => {}
+        _ => cloud.origin.sensors = Some(Arc::new(Sensors { attribute: scan_name.clone(), places })),
+    }
     flag_absent(&mut columns, cloud.positions.len());
     for column in columns {
         if column.scans < scans.len() && !column.is_flag() {

@@ -30,7 +30,7 @@ pub(super) fn not_held(attributes: &[Attribute]) -> Vec<String> {
 }
 
 /// The file, from its beginning. An attribute `scan` that numbers the points' scans from 0 splits them into scans
-/// again; a single scan stands where its sensor stood.
+/// again; each stands where its sensor stood.
 ///
 /// # Errors
 /// None that a cloud can cause; but the file is made by a crate that has some.
@@ -69,7 +69,7 @@ fn write(positions: &[Position], attributes: &[Attribute], origin: &Origin) -> R
         }
     }
     let count = scan.map_or(1, |(_, count)| count);
-    let sensor = origin.sensor.filter(|_| count == 1);
+    let places = origin.sensors.as_deref().filter(|sensors| sensors.attribute == SCAN);
     let description = character_data(&origin.comments.join("\n"));
     for number in 0..count {
         let mut points = writer.add_pointcloud(&guid(&hash, 1 + number as u64), prototype.clone())?;
@@ -77,6 +77,8 @@ fn write(positions: &[Position], attributes: &[Attribute], origin: &Origin) -> R
             points.set_name(Some(format!("scan {number}")));
         }
         points.set_description((!description.is_empty()).then(|| description.clone()));
+        let sensor =
+            if count == 1 { origin.sensor } else { places.and_then(|places| places.of(number as f64)) };
         let [x, y, z] = sensor.unwrap_or_default();
         points.set_transform(
             sensor.map(|_| Transform { translation: Translation { x, y, z }, ..Transform::default() }),
@@ -266,6 +268,9 @@ fn content_hash(positions: &[Position], attributes: &[Attribute], origin: &Origi
         each_kind!(&attribute.values, column => column.iter().for_each(|v| hash.update(v.to_le_bytes())));
     }
     hash.update(format!("{:?} {:?} {:?}", origin.crs, origin.comments, origin.sensor));
+    if let Some(sensors) = &origin.sensors {
+        hash.update(format!("{sensors:?}"));
+    }
     hash.finalize().into()
 }
 

@@ -34,6 +34,7 @@ impl Kind for Las {
     const NAMES: &'static [&'static str] = &["las", "laz"];
     const BEGINNING: Option<&'static str> = Some("`LASF`");
     const MEDIA_TYPES: &'static [&'static str] = &["application/vnd.las", "application/vnd.laszip"];
+    const EXTENSIONS: &'static [&'static str] = &["las", "laz"];
 
     fn from_extension(extension: &str) -> Option<Self> {
         matches!(extension, "las" | "laz").then_some(Self { compressed: extension == "laz" })

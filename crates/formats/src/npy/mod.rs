@@ -26,6 +26,7 @@ impl Kind for Npy {
     const NAMES: &'static [&'static str] = &["npy"];
     const BEGINNING: Option<&'static str> = Some("`\\x93NUMPY`");
     const MEDIA_TYPES: &'static [&'static str] = &["application/x-npy"];
+    const EXTENSIONS: &'static [&'static str] = &["npy"];
 
     fn from_extension(extension: &str) -> Option<Self> {
         (extension == "npy").then_some(Self { scalar: Scalar::F64, fields: true })

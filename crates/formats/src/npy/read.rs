@@ -2,7 +2,8 @@
 
 use half::f16;
 
-use super::super::columns::{Guess, MAX_COLUMNS, named_axes};
+use super::super::axes::axes_among;
+use super::super::columns::{Guess, MAX_COLUMNS};
 use super::super::reader::{Block, ColumnName, Ending, Points};
 use super::super::source::Source;
 use super::super::{Format, FormatError, Header, Limits, Place, Scalar};
@@ -106,28 +107,15 @@ impl NpyPoints {
         let shape: Option<Vec<u64>> =
             shape.iter().map(|n| if let Literal::Int(n) = n { Some(*n) } else { None }).collect();
         let shape = shape.ok_or("the shape is not of whole numbers")?;
-        let product = |sizes: &[u64]| sizes.iter().fold(1, |points: u64, size| points.saturating_mul(*size));
         match kind {
             Literal::Str(code) => {
-                let number = number(code)?.ok_or_else(|| format!("numbers of the type {}", quoted(code)))?;
-                let [points @ .., columns] = shape.as_slice() else {
-                    return Err("one number alone is no cloud".into());
-                };
-                if points.is_empty() || *columns < 3 || (points.len() > 1 && *fortran) {
-                    return Err(format!(
-                        "an array of shape {shape:?}; a cloud has the shape [points, 3 or more]"
-                    ));
-                }
-                if *columns > MAX_COLUMNS as u64 {
-                    return Err(format!(
-                        "an array of {columns} columns; more than {MAX_COLUMNS} are not read"
-                    ));
-                }
+                let number = number(code)?.ok_or_else(|| no_number(code))?;
+                let (points, columns) = table(&shape)?;
                 let size = number.size();
-                let fields = (0..*columns as usize)
+                let fields = (0..columns)
                     .map(|i| Field { name: format!("column {}", i + 1), number, offset: i * size })
                     .collect();
-                let (points, stride) = (product(points), *columns as usize * size);
+                let stride = columns * size;
                 let npy = Self::new(points, fields, stride, *fortran, None);
                 Ok((npy, Vec::new()))
             }
@@ -135,8 +123,8 @@ impl NpyPoints {
                 let mut dropped = Vec::new();
                 let (fields, stride) = structure(entries, &mut dropped)?;
                 let names: Vec<String> = fields.iter().map(|field| field.name.clone()).collect();
-                let axes = named_axes(&names).ok_or("the fields have no numbers `x`, `y` and `z`")?;
-                let points = product(&shape);
+                let axes = axes_among(&names, "the fields have")?;
+                let points = list(&shape)?;
                 Ok((Self::new(points, fields, stride, false, Some(axes)), dropped))
             }
             _ => Err("the type of the numbers is neither a name nor a list of fields".into()),
@@ -275,6 +263,60 @@ impl Number {
     }
 }
 
+/// How many points a table of this shape holds, and how many columns. Dimensions of one entry hold one table.
+///
+/// # Errors
+/// What else it holds, and what to do.
+fn table(shape: &[u64]) -> Result<(u64, usize), String> {
+    let shown = shown(shape);
+    let [before @ .., columns] = shape else { return Err("one number alone is no cloud".into()) };
+    let many: Vec<u64> = before.iter().copied().filter(|size| *size != 1).collect();
+    if before.is_empty() || *columns < 3 {
+        return Err(format!("an array of shape {shown}; a cloud has the shape (points, 3 or more)"));
+    }
+    let points = match many.as_slice() {
+        [] => 1,
+        [points] => *points,
+        [clouds, ..] => {
+            return Err(format!(
+                "an array of shape {shown} holds {clouds} clouds, or the rows of a picture; save one as a[0], or all as one: \
+                 a.reshape(-1, {columns})"
+            ));
+        }
+    };
+    // A point has few columns, and a cloud many points.
+    let is_turned = *columns > points && (points == 3 || points > 3 && *columns > 16);
+    if is_turned {
+        return Err(format!("an array of shape {shown} has its points side by side; transpose it: a.T"));
+    }
+    if *columns > MAX_COLUMNS as u64 {
+        return Err(format!("an array of {columns} columns; more than {MAX_COLUMNS} are not read"));
+    }
+    Ok((points, *columns as usize))
+}
+
+/// How many points an array of structures holds.
+///
+/// # Errors
+/// What else it holds, and what to do.
+fn list(shape: &[u64]) -> Result<u64, String> {
+    let many: Vec<u64> = shape.iter().copied().filter(|size| *size != 1).collect();
+    match many.as_slice() {
+        [] => Ok(1),
+        [points] => Ok(*points),
+        _ => Err(format!(
+            "an array of shape {} holds several clouds, or the rows of a picture; save one as a[0], or all as one: a.ravel()",
+            shown(shape)
+        )),
+    }
+}
+
+/// As Python shows a shape.
+fn shown(shape: &[u64]) -> String {
+    let sizes: Vec<String> = shape.iter().map(u64::to_string).collect();
+    if let [one] = sizes.as_slice() { format!("({one},)") } else { format!("({})", sizes.join(", ")) }
+}
+
 /// The literal between the magic bytes and the data.
 fn header_text(source: &mut Source<'_>) -> Result<String, FormatError> {
     let short = || FormatError::truncated(Place::Byte(0), "the NumPy header is incomplete");
@@ -365,6 +407,17 @@ fn number(code: &str) -> Result<Option<Number>, String> {
         _ => return Ok(None),
     };
     Ok(Some(Number { kind, big: code.starts_with('>'), half: code.ends_with("f2") }))
+}
+
+/// Of what an array is that holds no numbers of ours.
+fn no_number(code: &str) -> String {
+    let what = match code.chars().nth(1) {
+        Some('U' | 'S' | 'a') => "text",
+        Some('M' | 'm') => "times",
+        Some('c') => "complex numbers",
+        _ => "what is no number",
+    };
+    format!("the array holds {what} ({}); points are integers or floats", quoted(code))
 }
 
 /// Bytes of a type.

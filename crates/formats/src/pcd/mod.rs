@@ -50,11 +50,11 @@ impl PcdEncoding {
 }
 
 impl Kind for Pcd {
-    /// The comment is usual; the line after it is not optional.
-    const MARK: Mark = Mark::Bytes(|head| head.starts_with(b"# .PCD") || head.starts_with(b"VERSION "));
+    const MARK: Mark = Mark::Bytes(is_pcd);
     const NAMES: &'static [&'static str] = &["pcd"];
     const BEGINNING: Option<&'static str> = Some("`# .PCD`");
     const MEDIA_TYPES: &'static [&'static str] = &["application/x-pcd"];
+    const EXTENSIONS: &'static [&'static str] = &["pcd"];
 
     fn from_extension(extension: &str) -> Option<Self> {
         (extension == "pcd").then_some(Self { encoding: PcdEncoding::Binary, scalar: Scalar::F32 })
@@ -147,4 +147,24 @@ impl fmt::Display for Pcd {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "PCD ({}, {}-bit)", self.encoding.name(), 8 * self.scalar.size())
     }
+}
+
+/// Whether a file begins as PCD does, behind other comments and blank lines: with its comment, or, since that is optional,
+/// with its first keyword. Some programs write keywords in lower case, and are believed where there are two of them.
+fn is_pcd(head: &[u8]) -> bool {
+    let lines = || head.split(|b| matches!(b, b'\n' | b'\r')).map(<[u8]>::trim_ascii);
+    let mut begins = lines().filter(|line| !line.is_empty());
+    let Some(first) = begins.find(|line| !line.starts_with(b"#") || is_title(line)) else { return false };
+    let is_key = |line: &[u8], keys: &[&str]| {
+        let word = line.split(u8::is_ascii_whitespace).next().unwrap_or_default();
+        keys.iter().any(|key| word.eq_ignore_ascii_case(key.as_bytes()))
+    };
+    is_title(first)
+        || first.starts_with(b"VERSION ")
+        || is_key(first, &["VERSION", "FIELDS", "COLUMNS"]) && lines().any(|line| is_key(line, &["SIZE"]))
+}
+
+/// Whether a comment is the one of the format.
+fn is_title(line: &[u8]) -> bool {
+    line.strip_prefix(b"#").is_some_and(|comment| comment.trim_ascii_start().starts_with(b".PCD"))
 }

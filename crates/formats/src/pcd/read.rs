@@ -1,5 +1,6 @@
 //! Reading.
 
+use super::super::axes::axes_among;
 use super::super::numbers::CRS;
 use super::super::reader::{Block, ColumnName, Ending, Points};
 use super::super::source::Source;
@@ -52,7 +53,8 @@ impl Field {
 
     /// `rgb` and `rgba` hold three or four bytes in one number.
     fn is_colour(&self) -> bool {
-        matches!(self.name.as_str(), "rgb" | "rgba") && self.size == 4 && self.count == 1
+        let is_packed = ["rgb", "rgba"].iter().any(|name| self.name.eq_ignore_ascii_case(name));
+        is_packed && self.size == 4 && self.count == 1
     }
 
     fn is_kept(&self) -> bool {
@@ -77,6 +79,7 @@ impl PcdPoints {
             let line = line.split('#').next().unwrap_or_default();
             let mut words = line.split_ascii_whitespace().map(str::to_owned);
             if let Some(key) = words.next() {
+                let key = key.to_ascii_uppercase();
                 let last = key == "DATA";
                 lines.push((key, words.collect()));
                 if last {
@@ -116,7 +119,7 @@ impl PcdPoints {
             if !matches!(size, 1 | 2 | 4 | 8) || count > 1 << 20 {
                 return Err(format!("the field `{name}` has {count} numbers of {size} bytes"));
             }
-            let kind = match (types[i].as_str(), size) {
+            let kind = match (types[i].to_ascii_uppercase().as_str(), size) {
                 ("I", 1) => Some(Kind::I8),
                 ("I", 2) => Some(Kind::I16),
                 ("I", 4) => Some(Kind::I32),
@@ -134,22 +137,21 @@ impl PcdPoints {
             offset += field.bytes();
             fields.push(field);
         }
-        let mut axes = [0; 3];
-        for (axis, name) in axes.iter_mut().zip(["x", "y", "z"]) {
-            let found = fields.iter().position(|f| f.name == name && f.is_kept());
-            *axis = found.ok_or_else(|| format!("the fields have no number `{name}`"))?;
-        }
+        let numbers: Vec<&str> =
+            fields.iter().map(|f| if f.is_kept() { f.name.as_str() } else { "" }).collect();
+        let axes = axes_among(&numbers, "the fields have")?;
         let size = |key: &str| find(key).and_then(<[String]>::first).map(whole).transpose();
         let points = match (size("POINTS")?, size("WIDTH")?, size("HEIGHT")?) {
             (Some(points), _, _) => points,
             (None, Some(width), height) => width.saturating_mul(height.unwrap_or(1)),
             (None, None, _) => return Err("the PCD header has neither `POINTS` nor `WIDTH`".into()),
         };
-        let data = match need("DATA")?.first().map(String::as_str) {
-            Some("ascii") => PcdEncoding::Ascii,
-            Some("binary") => PcdEncoding::Binary,
-            Some("binary_compressed") => PcdEncoding::Compressed,
-            other => return Err(format!("`DATA {}` is not known", other.unwrap_or_default())),
+        let data = need("DATA")?.first().map(|word| word.to_ascii_lowercase()).unwrap_or_default();
+        let data = match data.as_str() {
+            "ascii" => PcdEncoding::Ascii,
+            "binary" => PcdEncoding::Binary,
+            "binary_compressed" => PcdEncoding::Compressed,
+            other => return Err(format!("`DATA {other}` is not known")),
         };
         let origin = find("VIEWPOINT").map(viewpoint).unwrap_or_default();
         Ok(Self { fields, points, data, axes, origin, row: 0 })
@@ -179,16 +181,27 @@ impl PcdPoints {
                 continue;
             };
             if !field.is_colour() {
-                attributes.push((field.name.clone(), Column { field: place, kind, shift: None }));
+                let name = free_name(&attributes, &field.name);
+                attributes.push((name, Column { field: place, kind, shift: None }));
                 continue;
             }
-            let alpha = (field.name == "rgba").then_some(("alpha", 24));
+            let alpha = field.name.eq_ignore_ascii_case("rgba").then_some(("alpha", 24));
             for (name, shift) in [("red", 16), ("green", 8), ("blue", 0)].into_iter().chain(alpha) {
                 let column = Column { field: place, kind: Kind::U8, shift: Some(shift) };
-                attributes.push((name.to_owned(), column));
+                attributes.push((free_name(&attributes, name), column));
             }
         }
         attributes
+    }
+
+    /// What was done about fields that have a name which another has.
+    fn notes(&self) -> Vec<String> {
+        let renamed = self.attributes().into_iter().filter_map(|(name, column)| {
+            let own = &self.fields[column.field].name;
+            let is_other = column.shift.is_none() && name != *own;
+            is_other.then(|| format!("`{own}` is the name of several fields; a later one is called `{name}`"))
+        });
+        renamed.collect()
     }
 
     fn missing(&self, at: Place, found: u64) -> FormatError {
@@ -327,8 +340,18 @@ impl Points for PcdPoints {
         }
         let columns = self.attributes().into_iter();
         let columns = columns.map(|(name, column)| Some(ColumnName { name, kind: column.kind })).collect();
-        Ok(Ending { columns, dropped_properties: Vec::new(), notes: Vec::new(), origin: self.origin })
+        let notes = self.notes();
+        Ok(Ending { columns, dropped_properties: Vec::new(), notes, origin: self.origin })
     }
+}
+
+/// A name that no attribute has yet.
+fn free_name(attributes: &[(String, Column)], name: &str) -> String {
+    let mut name = name.to_owned();
+    while attributes.iter().any(|(other, _)| *other == name) {
+        name.push('_');
+    }
+    name
 }
 
 /// A comment of the header: the coordinate system, as it is written here, or a line about the file.

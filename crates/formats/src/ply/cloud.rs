@@ -3,6 +3,7 @@
 use std::ops::Range;
 use std::sync::Arc;
 
+use super::super::axes::axes_among;
 use super::super::numbers::CRS;
 use super::super::reader::{Block, ColumnName, Ending, Points};
 use super::super::source::Source;
@@ -286,17 +287,14 @@ impl VertexReader {
     }
 }
 
-/// Where `x`, `y` and `z` stand among the properties.
+/// Where the coordinates stand among the properties.
 fn axes(source: &Source<'_>, vertex: &Element) -> Result<[usize; 3], FormatError> {
-    let mut axes = [0; 3];
-    for (axis, name) in axes.iter_mut().zip(["x", "y", "z"]) {
-        let found = vertex.properties.iter().position(|p| p.name == name);
-        *axis =
-            found.filter(|i| matches!(vertex.properties[*i].shape, Shape::Scalar(_))).ok_or_else(|| {
-                FormatError::malformed(source.line(), format!("the vertices have no number `{name}`"))
-            })?;
-    }
-    Ok(axes)
+    let names = vertex.properties.iter().map(|property| match property.shape {
+        Shape::Scalar(_) => property.name.as_str(),
+        Shape::List { .. } => "",
+    });
+    let names: Vec<&str> = names.collect();
+    axes_among(&names, "the vertices have").map_err(|why| FormatError::malformed(source.line(), why))
 }
 
 /// Appends the positions of whole rows. The usual types have loops of their own, so that no type is

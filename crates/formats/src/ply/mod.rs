@@ -66,6 +66,7 @@ impl Kind for Ply {
     const BEGINNING: Option<&'static str> = Some("the line `ply`");
     const HEADER_END: Option<&'static [u8]> = Some(b"end_header");
     const MEDIA_TYPES: &'static [&'static str] = &["application/x-ply"];
+    const EXTENSIONS: &'static [&'static str] = &["ply"];
 
     fn from_extension(extension: &str) -> Option<Self> {
         let usual = Self { encoding: PlyEncoding::BinaryLittleEndian, scalar: Scalar::F32 };

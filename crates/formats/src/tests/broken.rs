@@ -218,3 +218,35 @@ proptest! {
         let _ = read_mesh(bytes.as_slice());
     }
 }
+
+#[test]
+fn coordinates_are_known_by_their_names_in_any_case() {
+    let file = |properties: &str| {
+        let lines: String = properties.split(' ').map(|name| format!("property double {name}\n")).collect();
+        format!("ply\nformat ascii 1.0\nelement vertex 1\n{lines}end_header\n1 2 3 4 5 6\n")
+    };
+    for (properties, position, others) in [
+        ("X Y Z a b c", [1.0, 2.0, 3.0], ["a", "b", "c"]),
+        ("a z Y b X c", [5.0, 3.0, 2.0], ["a", "b", "c"]),
+        ("Easting Northing Elevation a b c", [1.0, 2.0, 3.0], ["a", "b", "c"]),
+        ("lat lon a height b c", [2.0, 1.0, 4.0], ["a", "b", "c"]),
+        // What is named as it should be comes before what is only like it.
+        ("X Y Z x y z", [4.0, 5.0, 6.0], ["X", "Y", "Z"]),
+    ] {
+        let cloud = read(file(properties).as_bytes()).expect(properties);
+        assert_eq!(cloud.positions, [position], "{properties}");
+        let names: Vec<&str> = cloud.attributes.iter().map(|a| a.name.as_str()).collect();
+        assert_eq!(names, others, "{properties}");
+    }
+    for (properties, told) in [
+        ("X Y a b c d", "no number `z`, and no coordinates by other names: X, Y, a, b, c, d"),
+        ("u v w b c d", "no number `x`"),
+        ("X y Z x b c", "may all be the coordinate x"),
+    ] {
+        let error = read(file(properties).as_bytes()).expect_err(properties).to_string();
+        assert!(error.contains(told), "{error}");
+    }
+    // A list is no coordinate.
+    let list = file("x y z a b c").replacen("property double x", "property list uchar double x", 1);
+    assert!(read(list.as_bytes()).expect_err("a list").to_string().contains("no number `x`"));
+}

@@ -1,6 +1,7 @@
 //! E57, written by us and by the `e57` crate.
 
 use std::io::Cursor;
+use std::sync::Arc;
 
 use ::e57::{
     E57Writer, Extension, Quaternion, Record, RecordDataType, RecordName, RecordValue, Transform, Translation,
@@ -8,7 +9,7 @@ use ::e57::{
 use proptest::prelude::*;
 
 use super::*;
-use densecloud_cloud::{Crs, Origin};
+use densecloud_cloud::{Crs, Origin, Sensors};
 
 fn column(name: &str, values: Values) -> Attribute {
     Attribute { name: name.into(), values }
@@ -115,6 +116,21 @@ fn a_single_scan_keeps_where_its_sensor_stood() {
     cloud.origin.sensor = Some([500_000.0, -2.0, 1.5]);
     let back = read_content(&made(&cloud)).expect("a cloud");
     assert_eq!(back.origin.sensor, cloud.origin.sensor);
+    for (a, b) in back.positions.as_flattened().iter().zip(cloud.positions.as_flattened()) {
+        assert!((a - b).abs() < 1e-9);
+    }
+}
+
+#[test]
+fn each_of_several_scans_keeps_where_its_sensor_stood() {
+    let mut cloud = rich(10);
+    let scan = Values::U8((0..10).map(|i| u8::from(i > 3)).collect());
+    cloud.attributes.retain(|a| a.name != "scan");
+    cloud.attributes.push(Attribute { name: "scan".into(), values: scan });
+    let places = vec![Some([500_000.0, -2.0, 1.5]), None];
+    cloud.origin.sensors = Some(Arc::new(Sensors { attribute: "scan".into(), places }));
+    let back = read_content(&made(&cloud)).expect("a cloud");
+    assert_eq!((&back.origin.sensors, back.origin.sensor), (&cloud.origin.sensors, None));
     for (a, b) in back.positions.as_flattened().iter().zip(cloud.positions.as_flattened()) {
         assert!((a - b).abs() < 1e-9);
     }

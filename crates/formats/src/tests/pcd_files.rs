@@ -80,6 +80,66 @@ fn every_encoding_reads_the_same() {
 }
 
 #[test]
+fn headers_are_read_as_programs_write_them() {
+    let whole = String::from_utf8_lossy(&ascii()).into_owned();
+    let expected = read_content(whole.as_bytes()).expect("a cloud");
+    let comment = format!("# made by a driver\n\n{whole}");
+    let untitled = whole[whole.find("VERSION").expect("a version")..].to_owned();
+    let lower: String = untitled
+        .lines()
+        .map(|line| match line.split_once(' ') {
+            Some((key, rest)) if key.chars().all(|c| c.is_ascii_uppercase()) => {
+                format!("{} {rest}\n", key.to_ascii_lowercase())
+            }
+            _ => format!("{line}\n"),
+        })
+        .collect();
+    let others = [
+        comment.replace('\n', "\r\n"),
+        format!("\n#.PCD v.7\n{untitled}"),
+        format!("# one\n# two\n{untitled}"),
+        untitled["VERSION 0.7\n".len()..].to_owned(),
+        lower,
+        whole.replace("FIELDS x y z rgb", "FIELDS X Y Z RGB"),
+        whole.replace("FIELDS x y z", "COLUMNS easting northing height").replace("DATA ascii", "DATA ASCII"),
+    ];
+    for text in [comment].into_iter().chain(others) {
+        let mut cloud = read_content(text.as_bytes()).expect(&text);
+        cloud.origin.comments.clear();
+        assert_eq!(cloud.attributes, expected.attributes, "{text}");
+        assert_eq!(cloud.positions[0], expected.positions[0], "{text}");
+        assert!(matches!(
+            CloudReader::open(text.as_bytes(), Limits::default()).expect("a header").header().format,
+            Format::Pcd { .. }
+        ));
+    }
+    // Lines that only look like it.
+    assert!(matches!(
+        CloudReader::open(&b"version x y z\n1 2 3 4\n"[..], Limits::default()).map(|r| r.header().format),
+        Ok(Format::Xyz { .. })
+    ));
+}
+
+#[test]
+fn names_that_come_twice_are_made_different() {
+    let text = "VERSION .7\nFIELDS x y z i i rgb red _ _ i\nSIZE 4 4 4 4 4 4 1 1 1 4\nTYPE F F F F F U U U U I\n\
+                WIDTH 1\nHEIGHT 1\nPOINTS 1\nDATA ascii\n1 2 3 4 5 65793 7 0 0 8\n";
+    let cloud = read(text.as_bytes()).expect("a cloud");
+    let values: Vec<(&str, f64)> =
+        cloud.attributes.iter().map(|a| (a.name.as_str(), a.values.get(0))).collect();
+    let expected =
+        [("i", 4.0), ("i_", 5.0), ("red", 1.0), ("green", 1.0), ("blue", 1.0), ("red_", 7.0), ("i__", 8.0)];
+    assert_eq!(values, expected);
+    let told: Vec<&str> =
+        cloud.notes.iter().map(|note| note.split(" is the name").next().unwrap_or("")).collect();
+    assert_eq!(told, ["`i`", "`red`", "`i`"]);
+    let twice = text.replacen("x y z i i", "x x z i i", 1);
+    assert!(read(twice.as_bytes()).expect_err("x twice").to_string().contains("no number `y`"));
+    let twice = text.replacen("x y z i i", "x y z x i", 1);
+    assert!(read(twice.as_bytes()).expect_err("x twice").to_string().contains("may all be the coordinate x"));
+}
+
+#[test]
 fn what_is_wrong_is_told() {
     let text = |bytes: Vec<u8>| String::from_utf8_lossy(&bytes).into_owned();
     for (file, told) in [

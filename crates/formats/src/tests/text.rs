@@ -114,9 +114,10 @@ fn broken_lines_are_named() {
         ("x y z\nx y z\n1 2 3\n", "line 2: `x` is not a number"),
         ("5\n6\n1 2 3\n", "line 2: 1 column where"),
         ("a,x,b,y,z\n1,2,3,4\n", "line 2: 4 columns where a point needs 5"),
+        ("{\n \"a\": 1\n}\n", "unknown format: JSON"),
         (
-            "{\n \"a\": 1\n}\n",
-            "line 2: `\"a\":` is not a number, and `{` before it does not name columns x, y and z",
+            "a {\n b 1\n}\n",
+            "line 2: `b` is not a number, and `a {` before it does not name columns x, y and z",
         ),
         ("hello\n", "text without a line of numbers, which begins with `hello`; convert it to PLY"),
         ("x;y;z\n", "the file holds no points"),

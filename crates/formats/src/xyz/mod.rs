@@ -31,6 +31,7 @@ impl Kind for Xyz {
     const NAMES: &'static [&'static str] = &["text"];
     const BEGINNING: Option<&'static str> = None;
     const MEDIA_TYPES: &'static [&'static str] = &["text/plain", "text/csv"];
+    const EXTENSIONS: &'static [&'static str] = &["xyz", "txt", "asc", "pts", "pwn", "csv"];
 
     fn from_extension(extension: &str) -> Option<Self> {
         let separator = match extension {

@@ -5,7 +5,7 @@ use super::keep::without_nearest;
 use super::near::Near;
 use super::plan::{Plan, normal_of};
 use super::rules::{Rule, Rules};
-use densecloud_cloud::{Attribute, Cloud, Frame, Origin, Point, Position, Values};
+use densecloud_cloud::{Attribute, Cloud, Frame, Origin, Point, Position, Sensors, Values};
 use densecloud_geometry::{estimate_normals, indices};
 
 /// Neighbours that an estimated normal is made of.
@@ -26,7 +26,7 @@ pub struct Finish {
     /// side of the source's normals, if it has some; else towards the sensor; else on an arbitrary one.
     /// Points of the source that are kept keep theirs.
     pub estimate_normals: bool,
-    /// Where the sensor stood; `None` is where the source says.
+    /// Where the sensor stood; `None` is where the source says, for each scan where it has several.
     pub sensor: Option<Position>,
 }
 
@@ -105,9 +105,34 @@ pub fn finish(
         if cancelled() {
             return None;
         }
-        normals(&positions, kept.len(), &mut attributes, how.sensor.or(source.origin.sensor))?;
+        let stood = Stood::of(how, &source.origin, &attributes);
+        normals(&positions, kept.len(), &mut attributes, &stood)?;
     }
     Some((positions, attributes))
+}
+
+/// Where the sensor stood that saw a point.
+struct Stood<'a> {
+    /// For all points.
+    once: Option<Position>,
+    /// For those of each scan, with the place of the attribute that numbers the scans.
+    each: Option<(&'a Sensors, usize)>,
+}
+
+impl<'a> Stood<'a> {
+    /// As the options say, else as the source does, for points of these attributes.
+    fn of(how: &Finish, source: &'a Origin, attributes: &[Attribute]) -> Self {
+        let number = |sensors: &Sensors| attributes.iter().position(|a| a.name == sensors.attribute);
+        let each = source.sensors.as_deref().and_then(|sensors| Some((sensors, number(sensors)?)));
+        Self { once: how.sensor.or(source.sensor), each }
+    }
+
+    fn at(&self, attributes: &[Attribute], row: usize) -> Option<Position> {
+        self.once.or_else(|| {
+            let (sensors, number) = self.each?;
+            sensors.of(attributes[number].values.get(row))
+        })
+    }
 }
 
 /// Puts estimated normals in the place of those that are there, or beside the other attributes. The first
@@ -116,7 +141,7 @@ fn normals(
     positions: &[Position],
     kept: usize,
     attributes: &mut Vec<Attribute>,
-    sensor: Option<Position>,
+    stood: &Stood<'_>,
 ) -> Option<()> {
     let frame = Frame::fit(positions).ok()?;
     let points: Vec<Point> = positions.iter().map(|p| frame.to_local(*p)).collect();
@@ -128,7 +153,7 @@ fn normals(
         attributes.retain(|a| !["nx", "ny", "nz"].contains(&a.name.as_str()));
     }
     for (i, normal) in normals.iter_mut().enumerate() {
-        let side: [f64; 3] = match (there, sensor) {
+        let side: [f64; 3] = match (there, stood.at(attributes, i)) {
             (Some(axes), _) => axes.map(|a| attributes[a].values.get(i)),
             (None, Some(sensor)) => std::array::from_fn(|a| sensor[a] - positions[i][a]),
             (None, None) => continue,
@@ -238,6 +263,40 @@ mod tests {
             if side.abs() > 0.3 {
                 assert!(side * outwards(&positions, &attributes, 1, i) > 0.0, "{:?}", positions[i]);
             }
+        }
+    }
+
+    #[test]
+    fn each_scan_has_a_sensor_of_its_own() {
+        let dense = sphere(2000, 3, false);
+        let mut source = sphere(500, 4, false);
+        // What is above its middle was seen from outside, the rest from within, and of a third scan nothing is known.
+        let scan = |p: &Position| if p[1] > 5e6 + 0.6 { 2 } else { u8::from(p[2] > 100.0) };
+        let scans = source.positions.iter().map(scan).collect();
+        source.attributes = vec![Attribute { name: "number".into(), values: Values::U8(scans) }];
+        let places = vec![Some([4e5, 5e6, 100.0]), Some([4e5, 5e6, 150.0])];
+        let sensors = Sensors { attribute: "number".into(), places };
+        source.origin.sensors = Some(std::sync::Arc::new(sensors));
+        let how = Finish { estimate_normals: true, ..Finish::default() };
+        let (positions, attributes) = run(&source, &dense, &how);
+        let mut sides = [[0; 2]; 2];
+        for (i, p) in positions.iter().enumerate() {
+            let d = [p[0] - 4e5, p[1] - 5e6, p[2] - 100.0];
+            let outwards = (0..3).map(|a| d[a] * attributes[1 + a].values.get(i)).sum::<f64>() > 0.0;
+            let scan = attributes[0].values.get(i) as usize;
+            if scan < 2 {
+                sides[scan][usize::from(outwards)] += 1;
+            }
+        }
+        assert!(sides[0][1] == 0 && sides[0][0] > 500, "inwards: {sides:?}");
+        // A tangent plane at the sphere's side passes the sensor on either side.
+        assert!(sides[1][1] > 500 && sides[1][0] < 50, "outwards: {sides:?}");
+        // What the caller says holds for all.
+        let how = Finish { sensor: Some([4e5, 5e6, 100.0]), ..how };
+        let (positions, attributes) = run(&source, &dense, &how);
+        for (i, p) in positions.iter().enumerate() {
+            let d = [p[0] - 4e5, p[1] - 5e6, p[2] - 100.0];
+            assert!((0..3).map(|a| d[a] * attributes[1 + a].values.get(i)).sum::<f64>() < 0.0);
         }
     }
 }
