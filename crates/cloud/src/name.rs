@@ -7,7 +7,7 @@ pub(crate) struct Name {
 }
 
 /// Words that programs put before every name, or every name of a kind.
-const PREFIXES: [&str; 13] = [
+const PREFIXES: [&str; 15] = [
     "scalar",
     "field",
     "sf",
@@ -21,6 +21,8 @@ const PREFIXES: [&str; 13] = [
     "attribute",
     "attributes",
     "dimension",
+    "gps",
+    "riegl",
 ];
 
 /// Units, where they stand as a word at the end.
@@ -30,7 +32,7 @@ const UNITS: [&str; 26] = [
 ];
 
 impl Name {
-    /// Whole, without unit, without prefix, and without both; then the same without what stands in brackets at its end.
+    /// Whole, without unit, the same without each word that is a prefix; then the same without what stands in brackets at its end.
     /// Only the number or the letter of a component counts there: not `m` in `X (m)`.
     pub(crate) fn of(name: &str) -> Self {
         let name = name.trim().trim_matches(['"', '\'']).trim_end().to_lowercase();
@@ -64,11 +66,13 @@ fn add_keys(name: &str, keys: &mut Vec<String>) {
     let count = words.len();
     let prefix =
         words.iter().take(count.saturating_sub(1)).take_while(|word| PREFIXES.contains(word)).count();
-    let unit = usize::from(count > prefix + 1 && words.last().is_some_and(|word| UNITS.contains(word)));
-    for range in [0..count, 0..count - unit, prefix..count, prefix..count - unit] {
-        let key = words[range].concat();
-        if !keys.contains(&key) {
-            keys.push(key);
+    for from in 0..=prefix {
+        let unit = count > from + 1 && words.last().is_some_and(|word| UNITS.contains(word));
+        for to in [count, count - usize::from(unit)] {
+            let key = words[from..to].concat();
+            if !keys.contains(&key) {
+                keys.push(key);
+            }
         }
     }
 }
@@ -90,7 +94,7 @@ mod tests {
     #[test]
     fn a_name_is_looked_up_whole_first_and_then_without_what_is_about_it() {
         let keys = |name: &str| Name::of(name).keys;
-        assert_eq!(keys("scalar_Gps-Time [s]"), ["scalargpstime", "gpstime"]);
+        assert_eq!(keys("scalar_Gps-Time [s]"), ["scalargpstime", "gpstime", "time"]);
         assert_eq!(keys("vertex.x_m"), ["vertexxm", "vertexx", "xm", "x"]);
         assert_eq!(keys("point_id"), ["pointid", "id"]);
         assert_eq!(keys("normals[0]"), ["normals0", "normals"]);

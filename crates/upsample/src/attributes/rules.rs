@@ -186,7 +186,7 @@ fn varies(role: Role) -> bool {
 }
 
 fn numbers_something(name: &str) -> bool {
-    // `ReturnNumber` has no separator; its words are in the list with one of them at an end.
+    // Names without separators are in the list with their ends.
     has_word(name, |word| {
         NAMES.contains(&word)
             || ["classification", "number", "time", "returns", "label"].iter().any(|n| word.ends_with(n))
@@ -197,8 +197,19 @@ fn measures(name: &str) -> bool {
     has_word(name, |word| MEASURES.iter().any(|measure| word.ends_with(measure)))
 }
 
+/// Whether one of a name's words is one, in lower case: `tree_id` and `treeID` have two each.
 fn has_word(name: &str, is_one: impl Fn(&str) -> bool) -> bool {
-    name.to_ascii_lowercase().split(|c: char| !c.is_ascii_alphabetic()).any(is_one)
+    let mut word = String::new();
+    let mut after_lower = false;
+    for c in name.chars().chain(['_']) {
+        let begins = c.is_ascii_uppercase() && after_lower;
+        if (begins || !c.is_ascii_alphabetic()) && is_one(&std::mem::take(&mut word)) {
+            return true;
+        }
+        word.extend(c.is_ascii_alphabetic().then(|| c.to_ascii_lowercase()));
+        after_lower = c.is_ascii_lowercase();
+    }
+    false
 }
 
 /// Most different numbers that are counted, so that the count takes little memory.
@@ -297,6 +308,8 @@ mod tests {
             ("curvature", Kind::F32),
             ("residual", Kind::F64),
             ("width", Kind::F32),
+            ("fluid", Kind::F32),
+            ("scalar_C2C_absolute_distances", Kind::F32),
             ("Elevation", Kind::I32),
         ] {
             assert_eq!(by_name(name, &reals(kind)), Rule::Mean, "{name}");
@@ -314,6 +327,9 @@ mod tests {
             ("laser_id", Kind::F32),
             ("azimuth", Kind::F64),
             ("my class", Kind::F32),
+            ("treeID", Kind::F32),
+            ("OriginId", Kind::F64),
+            ("LASCLASSIFICATION", Kind::F64),
             ("scalar_segment_of_tree", Kind::F32),
         ] {
             assert_eq!(by_name(name, &reals(kind)), Rule::Nearest, "{name}");
@@ -339,7 +355,7 @@ mod tests {
         assert_eq!(many(MOST_DIFFERENT as u32 + 1), Rule::Mean);
         // What the name says is not up to the numbers.
         for name in
-            ["intensity", "Red", "elevation", "reflectance", "temperature", "CanopyHeight", "scalar_C2C_dist"]
+            ["intensity", "Red", "elevation", "temperature", "CanopyHeight", "scalar_C2C_dist", "signal"]
         {
             assert_eq!(by_name(name, &Values::F64(vec![400.0; 9])), Rule::Mean, "{name}");
         }
