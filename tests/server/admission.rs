@@ -77,6 +77,26 @@ fn with_keys_one_is_needed_but_for_what_is_open() {
 }
 
 #[test]
+fn keys_that_are_read_again_count_at_once() {
+    let folder = tempfile::tempdir().unwrap();
+    let access = keys(folder.path());
+    let read = access.keys.clone().unwrap();
+    let server = Server::start(&Scripted::new(), Config { access, ..Config::default() });
+    let status = |headers: &str| server.ask("POST", "/upsample?ratio=2", headers, &body()).status;
+    assert_eq!((status(ALICE), status(BOB)), (200, 200));
+    std::fs::write(folder.path().join("keys"), "bob bobs-own-secret-key\n").unwrap();
+    assert_eq!(read.reload().unwrap(), 1);
+    assert_eq!((status(ALICE), status(BOB)), (401, 200));
+    std::fs::write(folder.path().join("keys"), "alice alices-secret-key\nbroken\n").unwrap();
+    assert!(read.reload().is_err());
+    assert_eq!((status(ALICE), status(BOB)), (401, 200));
+    for (outcome, count) in [("ok", 1.0), ("failed", 1.0)] {
+        let metric = format!("densecloud_keys_reloads_total{{outcome=\"{outcome}\"}}");
+        assert_eq!(server.metric(&metric), count, "{metric}");
+    }
+}
+
+#[test]
 fn a_client_with_its_share_used_gets_429_and_others_are_served() {
     let folder = tempfile::tempdir().unwrap();
     let backend = Scripted::new();
@@ -150,6 +170,65 @@ fn what_cannot_be_admitted_is_refused_before_its_body() {
     wait_until("they are given back", || server.engine.queued_points() == 600);
     backend.open();
     server.wait_for_no_work();
+}
+
+#[test]
+fn what_is_let_in_counts_as_waiting_before_it_has_come() {
+    let backend = Scripted::over(Fake::slow(std::time::Duration::from_millis(3)));
+    let queue_time = Some(std::time::Duration::from_secs(600));
+    let sizes = EngineConfig { threads: 2, client_points: u64::MAX, queue_time, ..Default::default() };
+    let request = std::time::Duration::from_secs(1_000_000);
+    let timeouts = densecloud_server::Timeouts { request, ..Default::default() };
+    let server = Server::start_cold(&backend, sizes, Config { timeouts, ..Config::default() });
+    server.wait_for_ready();
+    // Some twenty minutes of work, of which nothing but the header comes.
+    let begin = || {
+        let mut client = server.connect();
+        let header = "ply\nformat binary_little_endian 1.0\nelement vertex 100000\nproperty float x\n\
+                      property float y\nproperty float z\nend_header\n";
+        let length = header.len() + 1_200_000;
+        client.send(
+            format!(
+                "POST /upsample?ratio=40 HTTP/1.1\r\nhost: x\r\nconnection: close\r\ncontent-length: {length}\r\n\r\n\
+                 {header}"
+            )
+            .as_bytes(),
+        );
+        client
+    };
+    // Two threads are idle, so the third is the first to wait.
+    let first = [begin(), begin(), begin()];
+    wait_until("three are let in", || server.engine.queued_points() == 12_000_000);
+    for _ in 0..3 {
+        let refused = begin().reply();
+        is_refused(&refused, 503, "queue-long");
+        assert_eq!(refused.problem()["setting"], "--queue-time");
+        assert!(retry_after(&refused) >= 1);
+    }
+    assert_eq!(server.post("/upsample?ratio=2", &body()).status, 200, "small ones have a queue of their own");
+    drop(first);
+    server.wait_for_no_work();
+    drop(begin());
+    wait_until("one more was let in", || server.metric("densecloud_admitted_total") == 5.0);
+    server.wait_for_no_work();
+}
+
+#[test]
+fn a_cloud_that_tells_no_size_takes_points_by_a_guess_before_it_is_read() {
+    let server = Server::start(&Scripted::new(), Config::default());
+    let broken = "0 0 0\n1 0 0\n0 1 0\n0 0 one\n";
+    assert_eq!(server.post("/upsample?ratio=4", broken.as_bytes()).status, 400);
+    assert_eq!(server.metric("densecloud_admitted_total"), 1.0);
+    let json = r#"{"parameters":{"ratio":4},"inputs":[{"name":"points","datatype":"FP32","shape":[4,3],"data":[1,2,3,4,5,6]}]}"#;
+    assert_eq!(server.post("/v2/models/densecloud/infer", json.as_bytes()).status, 400);
+    assert_eq!(server.metric("densecloud_admitted_total"), 2.0);
+    server.wait_for_no_work();
+    // What a guess is above is judged by what is read.
+    let limits = densecloud_server::Limits { points_in: 100, ..Default::default() };
+    let server = Server::start(&Scripted::new(), Config { limits, ..Config::default() });
+    let text = encode(&cloud(100), densecloud_formats::Format::TEXT);
+    let commented = [vec![b"# one of many\n".repeat(200)].concat(), text].concat();
+    assert_eq!(server.post("/upsample?ratio=2", &commented).status, 200);
 }
 
 #[test]

@@ -7,6 +7,7 @@
 
 mod client;
 mod clock;
+mod coming;
 mod cost;
 mod fair;
 mod pending;
@@ -51,7 +52,8 @@ pub struct EngineConfig {
     /// The same of one client's requests. 0 means a quarter of all.
     pub client_points: u64,
     /// The longest that the work waiting in a lane may take, by the machine alone: above it the lane takes no more
-    /// requests. A client's work may take the same part of it as of the points. Work that runs does not count, nor does
+    /// requests. A client's work may take the same part of it as of the points. What is [reserved](Engine::reserve) counts
+    /// as waiting from then on, unless its cloud is on its way for longer than this, or a thread is idle that will take it. Work that runs does not count, nor does
     /// the size of a new request: only those after it would wait for it. None is no limit.
     pub queue_time: Option<Duration>,
     /// Bytes that requests at work may take together, as [`Cost::memory`] estimates them: others wait until
@@ -186,17 +188,18 @@ impl Engine {
         clock: Arc<dyn Clock>,
     ) -> Result<Self, StartError> {
         let threads = config.threads();
+        let concurrency = or(config.concurrency, threads);
         let bounds = Bounds {
             points: config.queue_points,
             client_points: or(config.client_points, config.queue_points / 4),
             time: config.queue_time,
             memory: config.memory,
+            threads: concurrency,
         };
         let queue = Arc::new(Queue::new(bounds, runner.demand(), Arc::clone(&clock)));
         let workers = Arc::new(Workers::new(runner, threads)?);
         // Dropped where a thread fails to start, which ends those before it.
         let inner = Arc::new(Inner { queue, workers, clock });
-        let concurrency = or(config.concurrency, threads);
         for i in 0..2 * concurrency {
             // The second half takes small requests alone: they never wait for a large one to end.
             let lane = (i >= concurrency).then_some(Lane::Express);
@@ -254,7 +257,7 @@ impl Engine {
     }
 
     /// Takes the points of a request from the budget before the request is there: as soon as its size is
-    /// known, or guessed from below. Dropping the permit gives them back.
+    /// known, or guessed from below. From then on the request counts as waiting. Dropping the permit gives the points back.
     ///
     /// # Errors
     /// Any [`Refusal`].

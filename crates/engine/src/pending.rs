@@ -97,7 +97,7 @@ impl Pending {
     pub(super) fn queue(engine: &Inner, request: Request, caller: &Caller, permit: Permit) -> Self {
         let Inner { queue, clock, .. } = engine;
         let (sender, result) = oneshot::channel();
-        let (cost, estimate) = (permit.cost(), permit.estimate());
+        let (cost, estimate, number) = (permit.cost(), permit.estimate(), permit.number());
         let work = Work { request, permit, result: sender };
         let task = Arc::new(Task {
             client: caller.client.clone(),
@@ -111,7 +111,7 @@ impl Pending {
             started: OnceLock::new(),
             work: Mutex::new(Some(work)),
         });
-        queue.push(Arc::clone(&task));
+        queue.push(Arc::clone(&task), number);
         Self { queue: Arc::clone(queue), task, result }
     }
 

@@ -7,6 +7,7 @@ use std::time::{Duration, Instant};
 
 use super::client::{Caller, Client};
 use super::clock::Clock;
+use super::coming::{Coming, Expected};
 use super::cost::{Cost, Pace};
 use super::fair::Fair;
 use super::pending::Task;
@@ -25,6 +26,8 @@ pub(super) struct Bounds {
     pub(super) time: Option<Duration>,
     /// Bytes that all requests at work may take.
     pub(super) memory: u64,
+    /// Threads that take requests of either lane, and as many more that take small ones.
+    pub(super) threads: usize,
 }
 
 /// Tasks that wait, and the account of all that was admitted.
@@ -37,10 +40,11 @@ pub(super) struct Queue {
     changed: Condvar,
 }
 
-#[derive(Default)]
 struct State {
     /// By lane.
     waiting: [Fair<Arc<Task>>; 2],
+    /// What will wait there.
+    coming: Coming,
     points: u64,
     /// What each client has admitted, by lane; no entry is nothing.
     clients: HashMap<Client, [Load; 2]>,
@@ -93,6 +97,8 @@ pub struct Permit {
     client: Client,
     cost: Cost,
     time: u64,
+    /// Its name in [`State::coming`].
+    number: u64,
 }
 
 impl Permit {
@@ -107,6 +113,16 @@ impl Permit {
         Duration::from_micros(self.time)
     }
 
+    /// Tells that all of the request is there, but for being read: from now on it counts as waiting, however long that
+    /// takes.
+    pub fn arrived(&self) {
+        self.queue.lock().coming.arrived(self.number);
+    }
+
+    pub(super) fn number(&self) -> u64 {
+        self.number
+    }
+
     /// Changes its size, now that more is known: to a smaller one always, to a larger one where there is room.
     ///
     /// # Errors
@@ -118,6 +134,8 @@ impl Permit {
         let queue = Arc::clone(&self.queue);
         let mut state = queue.lock();
         state.give_back(&self.client, self.cost, self.time);
+        // It does not wait for itself.
+        let expected = state.coming.remove(self.number);
         // What has been let in may stay where it does not ask for more.
         let checked = if cost.points_out > self.cost.points_out {
             queue.check(&mut state, caller, cost)
@@ -128,13 +146,19 @@ impl Permit {
             (self.cost, self.time) = (cost, state.time(cost));
         }
         state.take(&self.client, self.cost, self.time);
+        if let Some(expected) = expected {
+            let (lane, time) = (self.cost.lane(), self.estimate());
+            state.coming.add(Expected { lane, time, ..expected });
+        }
         checked
     }
 }
 
 impl Drop for Permit {
     fn drop(&mut self) {
-        self.queue.lock().give_back(&self.client, self.cost, self.time);
+        let mut state = self.queue.lock();
+        state.coming.remove(self.number);
+        state.give_back(&self.client, self.cost, self.time);
     }
 }
 
@@ -212,10 +236,25 @@ impl State {
         admitted.saturating_sub(self.running.iter().filter(mine).map(done).sum())
     }
 
-    /// How long the work that waits in a lane will take: one client's, or all for `None`. Reserved work does not count:
-    /// its upload may take minutes, in which others' work is done. O(tasks that wait).
-    fn waiting_time(&self, client: Option<&Client>, lane: Lane) -> Duration {
-        self.waiting[lane as usize].iter(client).map(|task| task.estimate).sum()
+    /// How long the work that waits in a lane will take, and what is on its way there: one client's, or all for `None`.
+    /// O(requests that wait or come).
+    fn waiting_time(&self, client: Option<&Client>, lane: Lane, now: Instant, threads: usize) -> Duration {
+        let waiting = &self.waiting[lane as usize];
+        let idle = self.idle(lane, threads).saturating_sub(waiting.iter(None).count());
+        let waiting: Duration = waiting.iter(client).map(|task| task.estimate).sum();
+        waiting + self.coming.time(client, lane, idle, now)
+    }
+
+    /// Threads that would take a request of this lane.
+    fn idle(&self, lane: Lane, threads: usize) -> usize {
+        let at_work = self.running.iter().filter(|r| lane == Lane::Express || r.lane == lane).count();
+        let all = if lane == Lane::Express { 2 * threads } else { threads };
+        all.saturating_sub(at_work)
+    }
+
+    fn number(&mut self) -> u64 {
+        self.next_number += 1;
+        self.next_number
     }
 
     fn backlog(&self) -> u64 {
@@ -272,7 +311,18 @@ fn part(time: u64, need: u64, all: u64) -> Duration {
 
 impl Queue {
     pub(super) fn new(bounds: Bounds, demand: Demand, clock: Arc<dyn Clock>) -> Self {
-        Self { bounds, demand, clock, state: Mutex::default(), changed: Condvar::new() }
+        let state = State {
+            waiting: Default::default(),
+            coming: Coming::new(bounds.time.unwrap_or_default()),
+            points: 0,
+            clients: HashMap::new(),
+            running: Vec::new(),
+            next_number: 0,
+            shared: SharedTime::default(),
+            pace: Pace::default(),
+            closed: false,
+        };
+        Self { bounds, demand, clock, state: Mutex::new(state), changed: Condvar::new() }
     }
 
     /// Nothing panics while it is held, so a poisoned lock is still sound.
@@ -286,7 +336,11 @@ impl Queue {
         self.check(&mut state, caller, cost)?;
         let time = state.time(cost);
         state.take(&caller.client, cost, time);
-        Ok(Permit { queue: Arc::clone(self), client: caller.client.clone(), cost, time })
+        let (number, client) = (state.number(), caller.client.clone());
+        let permit = Permit { queue: Arc::clone(self), client: client.clone(), cost, time, number };
+        let (lane, time, since) = (cost.lane(), permit.estimate(), Some(self.clock.now()));
+        state.coming.add(Expected { number, client, lane, time, since });
+        Ok(permit)
     }
 
     /// Would a request be admitted if it were this small, or, where small ones wait for too long already, the smallest of
@@ -341,7 +395,7 @@ impl Queue {
         if let Some(retry_after) = full {
             return Err(Refusal::Full { wanted, queued, limit: points, retry_after });
         }
-        self.check_time(state, &caller.client, cost.lane())?;
+        self.check_time(state, &caller.client, cost.lane(), now)?;
         let left = caller.deadline.map(|deadline| deadline.saturating_duration_since(now));
         // One that is alone is always tried: estimates may be wrong, and only work corrects them.
         if let Some(left) = left.filter(|_| queued > 0) {
@@ -354,17 +408,17 @@ impl Queue {
     }
 
     /// Checks that the work waiting in a lane takes no longer than it may.
-    fn check_time(&self, state: &State, client: &Client, lane: Lane) -> Result<(), Refusal> {
-        let Bounds { points, client_points, time, .. } = self.bounds;
+    fn check_time(&self, state: &State, client: &Client, lane: Lane, now: Instant) -> Result<(), Refusal> {
+        let Bounds { points, client_points, time, threads, .. } = self.bounds;
         let Some(time) = time else { return Ok(()) };
-        let all = state.waiting_time(None, lane);
+        let all = state.waiting_time(None, lane, now, threads);
         let busy = |own, waiting: Duration, limit, pace: u32| Refusal::Busy {
             own,
             waiting,
             limit,
             retry_after: (waiting - limit).saturating_mul(pace).min(all).max(SECOND),
         };
-        let own = state.waiting_time(Some(client), lane);
+        let own = state.waiting_time(Some(client), lane, now, threads);
         let share = time.mul_f64(client_points as f64 / points.max(1) as f64);
         if client_points < points && own > share {
             // Its work goes at its part of the machine's pace.
@@ -373,9 +427,13 @@ impl Queue {
         if all > time { Err(busy(false, all, time, 1)) } else { Ok(()) }
     }
 
-    pub(super) fn push(&self, task: Arc<Task>) {
+    /// A task that has come, by the number of its permit.
+    pub(super) fn push(&self, task: Arc<Task>, number: u64) {
         let (client, points) = (task.client.clone(), task.cost.points_out);
-        self.lock().waiting[task.cost.lane() as usize].push(&client, task, points);
+        let mut state = self.lock();
+        state.coming.remove(number);
+        state.waiting[task.cost.lane() as usize].push(&client, task, points);
+        drop(state);
         // All: the one that would be woken may serve the other lane.
         self.changed.notify_all();
     }
@@ -393,8 +451,7 @@ impl Queue {
             }
         };
         state.look(self.clock.now());
-        let number = state.next_number;
-        state.next_number += 1;
+        let number = state.number();
         let running = Running {
             number,
             client: task.client.clone(),
@@ -467,10 +524,17 @@ impl Queue {
         Duration::from_micros(state.backlog())
     }
 
+    /// Tasks at work.
+    #[cfg(test)]
+    pub(super) fn running(&self) -> usize {
+        self.lock().running.len()
+    }
+
     /// Nothing is admitted, and nothing is remembered of it.
     #[cfg(test)]
     pub(super) fn is_clean(&self) -> bool {
         let state = self.lock();
-        state.points == 0 && state.clients.is_empty() && state.running.is_empty()
+        let State { points, clients, running, coming, .. } = &*state;
+        *points == 0 && clients.is_empty() && running.is_empty() && coming.is_empty()
     }
 }

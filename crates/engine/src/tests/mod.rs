@@ -275,8 +275,9 @@ fn what_waits_is_bounded_in_time_for_all_and_for_each_client() {
     let engine = machine.engine(EngineConfig { queue_time: Some(8 * one), ..config });
     engine.warm_up().unwrap();
     machine.close();
-    // What is reserved does not wait: its upload may take minutes.
-    let _reserved = engine.reserve(&caller("z"), cost(20_000, 80_000)).unwrap();
+    // An upload that takes minutes keeps nobody out: others' work is done in the meantime.
+    let _slow = engine.reserve(&caller("z"), cost(20_000, 80_000)).unwrap();
+    machine.clock.advance(9 * one);
     let mut taken = Vec::new();
     let (mut share, mut long) = (0, 0);
     for client in ["a", "b", "c", "d", "e", "f", "g"] {
@@ -300,6 +301,51 @@ fn what_waits_is_bounded_in_time_for_all_and_for_each_client() {
     assert!(engine.reserve(&caller("h"), cost(100_000, 400_000)).is_ok());
     drop(taken);
     machine.open_gate();
+}
+
+#[test]
+fn a_burst_is_held_before_any_of_it_has_come() {
+    let machine = Machine::new(5);
+    let config = EngineConfig { threads: 1, concurrency: 1, ..EngineConfig::default() };
+    let engine = machine.engine(config);
+    engine.warm_up().unwrap();
+    let size = cost(2000, 8000);
+    let one = engine.estimate(size).unwrap();
+    let engine = machine.engine(EngineConfig { queue_time: Some(one.mul_f64(8.5)), ..config });
+    engine.warm_up().unwrap();
+    machine.close();
+    let mut permits = Vec::new();
+    let mut refused = [0, 0];
+    for client in ["a", "b", "c", "d"] {
+        for _ in 0..24 {
+            match engine.reserve(&caller(client), size) {
+                Ok(permit) => permits.push(permit),
+                Err(Refusal::Busy { own, .. }) => refused[usize::from(own)] += 1,
+                Err(other) => panic!("{other}"),
+            }
+        }
+    }
+    // The first two do not wait, since two threads are idle. Then each client has until it is above its quarter of eight and
+    // a half, and nine wait of all.
+    assert_eq!((permits.len(), refused), (11, [24, 19 + 21 + 21]));
+    let busy = |engine: &Engine| matches!(engine.reserve(&caller("e"), size), Err(Refusal::Busy { .. }));
+    // That two of them come and are begun changes nothing.
+    let come = |permit| engine.submit_for(&caller("a"), request(2000, 4.0), Some(permit)).unwrap();
+    let pending = [come(permits.remove(0)), come(permits.remove(0))];
+    wait_until(|| engine.inner.queue.running() == 2);
+    assert!(busy(&engine));
+    drop(permits.pop());
+    drop(engine.reserve(&caller("e"), size).unwrap());
+    // Those whose parsing takes its time count on, those that are still being sent do not.
+    for permit in &permits[..3] {
+        permit.arrived();
+    }
+    machine.clock.advance(9 * one);
+    let room = (0..).map_while(|i| engine.reserve(&caller(&i.to_string()), size).ok()).collect::<Vec<_>>();
+    assert_eq!(room.len(), 6, "beside three");
+    drop((permits, room, pending));
+    machine.open_gate();
+    wait_until(|| engine.inner.queue.is_clean());
 }
 
 #[test]

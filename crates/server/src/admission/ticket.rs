@@ -64,6 +64,28 @@ impl Ticket {
         Ok(())
     }
 
+    /// Reserves what a request takes that has arrived, and whose size only reading it will tell, by a guess of its points.
+    /// Without effect where something is reserved, or where the guess is above what is ever taken: it may be wrong.
+    ///
+    /// # Errors
+    /// The engine's, of which all say when to come again.
+    pub(crate) fn guess(&mut self, points_in: u64, points_out: u64) -> Result<(), Problem> {
+        let cost = Cost { points_in, points_out };
+        let limits = &self.app.config.limits;
+        let known = self.reserved.is_some() || self.app.engine.check_memory(cost).is_err();
+        if known || points_in > limits.points_in || points_out > limits.points_out {
+            return Ok(());
+        }
+        self.reserve(points_in, points_out)
+    }
+
+    /// All of the request is there; it waits to be read.
+    pub(crate) fn arrived(&self) {
+        if let Some(permit) = &self.reserved {
+            permit.arrived();
+        }
+    }
+
     /// Queues the work. Blocks for O(points in).
     ///
     /// # Errors

@@ -15,6 +15,7 @@ use super::outgoing::{self, Messages};
 use super::start::Start;
 use super::{MESSAGE, incoming};
 use crate::admission::deadline::Deadline;
+use crate::admission::guess;
 use crate::admission::ticket::Ticket;
 use crate::app::App;
 use crate::connection::record::{Early, Ongoing};
@@ -162,6 +163,8 @@ impl Call {
         let mut upload = Upload::new(&none, incoming::body(messages, columns));
         let received = upload.receive(&none, app, &options.reading, known).await?;
         drop(half);
+        let guess = guess::of_file(received.bytes());
+        ticket.guess(guess, options.points_out(guess))?;
         let arrived = (received.bytes().len(), received.took);
         let read = move |app: &App| Ok((upsample::UpsampleRequest::read(app, &received, options)?, ()));
         let (sender, begun) = oneshot::channel();

@@ -13,6 +13,7 @@ use serde::{Deserialize, Serialize};
 use tokio::task::spawn_blocking;
 
 use crate::admission::budget::Held;
+use crate::admission::guess;
 use crate::admission::ticket::Ticket;
 use crate::app::App;
 use crate::connection::compress::AsIs;
@@ -62,6 +63,8 @@ async fn answer(
     let known = |points_in, points_out| ticket.reserve(points_in, points_out);
     let Asking { mut options, received } = Asking::receive(upload, uri, headers, app, known).await?;
     options.format = wanted;
+    let guess = guess::of_file(received.bytes());
+    ticket.guess(guess, options.points_out(guess))?;
     let arrived = (received.bytes().len(), received.took);
     let read = move |app: &App| Ok((UpsampleRequest::read(app, &received, options)?, ()));
     let (done, ()) = run(app, ticket, arrived, read, |_| {}).await?;
@@ -133,6 +136,7 @@ pub(crate) async fn run<T: Send + 'static>(
     timing.add(app, "upload", upload);
     let start = Instant::now();
     let deadline = ticket.deadline.clone();
+    ticket.arrived();
     deadline.enter("of parsing");
     let turn = app.parsing.turn(ticket.client(), bytes as u64).await;
     let submit = {
