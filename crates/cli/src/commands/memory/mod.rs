@@ -1,12 +1,15 @@
 //! How much memory there is for work.
 
+mod groups;
+
 use std::fs;
+use std::path::Path;
 
 /// Bytes that the program may still take: what the system has, or, where that is less, what its control
-/// group leaves; none where neither tells.
+/// groups leave; none where neither tells.
 pub(super) fn available() -> Option<u64> {
     let system = fs::read_to_string("/proc/meminfo").ok().and_then(|text| meminfo(&text));
-    [system, group()].into_iter().flatten().min()
+    [system, groups::left(Path::new("/"))].into_iter().flatten().min()
 }
 
 /// `MemAvailable` of `/proc/meminfo`, in bytes.
@@ -14,15 +17,6 @@ fn meminfo(text: &str) -> Option<u64> {
     let line = text.lines().find_map(|line| line.strip_prefix("MemAvailable:"))?;
     let kilobytes: u64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
     Some(kilobytes * 1024)
-}
-
-/// What the control group leaves, as a container sees its own: version 2, or 1.
-fn group() -> Option<u64> {
-    let number = |path: &str| fs::read_to_string(path).ok()?.trim().parse::<u64>().ok();
-    let left = |limit, used| Some(number(limit)?.saturating_sub(number(used).unwrap_or(0)));
-    left("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory.current").or_else(|| {
-        left("/sys/fs/cgroup/memory/memory.limit_in_bytes", "/sys/fs/cgroup/memory/memory.usage_in_bytes")
-    })
 }
 
 /// Of so many bytes, those for work beside `held` bytes of uploads and results: nine tenths of what these
