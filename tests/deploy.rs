@@ -110,6 +110,19 @@ fn the_manual_has_every_setting_with_its_default() {
     }
 }
 
+#[test]
+fn the_table_of_limits_has_every_setting_that_is_one() {
+    let (manual, limits) = (read("docs/http.md"), read("docs/limits.md"));
+    let section = manual.split("\n### Limits\n").nth(1).and_then(|rest| rest.split("\n## ").next());
+    let names =
+        section.expect("a section").lines().filter_map(|line| line.strip_prefix("| `")?.split('`').next());
+    let names: Vec<_> = names.collect();
+    assert!(names.len() > 20, "{names:?}");
+    for name in names {
+        assert!(limits.contains(&format!("`{name}`")), "{name} is not in docs/limits.md");
+    }
+}
+
 /// Each variable that a file sets must be a setting's, and have a value that it takes.
 fn check_variables<'a>(file: &str, set: impl Iterator<Item = &'a str>) {
     let settings = settings();
@@ -144,6 +157,7 @@ fn the_systemd_unit_sets_what_there_is_and_waits_for_the_drain() {
     let command = values("ExecStart=").next().expect("a command");
     check_command("the unit", command.split(' ').skip(1));
     assert_eq!(values("RestartPreventExitStatus=").next(), Some("64"), "the code of a wrong setting");
+    assert_eq!(values("ExecReload=").next(), Some("/bin/kill -HUP $MAINPID"));
     let settings = settings();
     let seconds = |key: &str| settings[key].default.parse::<f64>().expect("seconds");
     let stop: f64 = values("TimeoutStopSec=").next().expect("a timeout").parse().expect("seconds");

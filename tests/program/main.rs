@@ -5,6 +5,7 @@ mod doors;
 mod faults;
 mod hostile;
 mod kills;
+mod log;
 mod meanings;
 mod remote;
 mod results;

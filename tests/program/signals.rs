@@ -2,8 +2,68 @@
 
 use std::io::{Read, Write};
 use std::net::TcpStream;
+use std::path::Path;
 
 use crate::support::{PATIENCE, Serving, agent, densecloud, request, sphere, wide_sphere};
+
+/// A file of keys that nobody else can read.
+fn write_keys(path: &Path, text: &str) {
+    std::fs::write(path, text).expect("a file");
+    let owners = std::os::unix::fs::PermissionsExt::from_mode(0o600);
+    std::fs::set_permissions(path, owners).expect("permissions");
+}
+
+#[test]
+fn a_hangup_has_keys_read_again_and_ends_nothing() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("keys");
+    write_keys(&path, "alice alices-secret-key\n");
+    let serving = Serving::start(&["--keys", path.to_str().expect("UTF-8")]);
+    let status = |key: &str| {
+        let asked = agent().post(serving.url("/upsample?ratio=2")).header("x-api-key", key);
+        asked.send(sphere(100).as_bytes()).expect("an answer").status().as_u16()
+    };
+    let statuses = || [status("alices-secret-key"), status("bobs-own-secret-key")];
+    assert_eq!(statuses(), [200, 401]);
+    write_keys(&path, "alice alices-secret-key\nbob bobs-own-secret-key\n");
+    assert_eq!(statuses(), [200, 401], "not yet");
+    serving.signal("HUP");
+    assert_eq!(serving.wait_for("keys read again")["keys"], 2);
+    assert_eq!(statuses(), [200, 200]);
+    write_keys(&path, "bob bobs-own-secret-key\ncarol\n");
+    serving.signal("HUP");
+    let event = serving.wait_for_event("keys not read again; those before stay");
+    assert_eq!(event["level"], "ERROR");
+    assert!(event["fields"]["why"].as_str().expect("words").contains("line 2"), "{event}");
+    assert_eq!(statuses(), [200, 200]);
+    serving.wait_for_metric("densecloud_keys_reloads_total{outcome=\"ok\"} 1");
+    serving.wait_for_metric("densecloud_keys_reloads_total{outcome=\"failed\"} 1");
+    serving.signal("TERM");
+    assert_eq!(serving.end().code(), Some(0));
+}
+
+#[test]
+fn hangups_cost_a_job_nothing() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let jobs = folder.path().to_str().expect("UTF-8");
+    let serving = Serving::start(&["--data-dir", jobs, "--job-attempts", "1"]);
+    let mut answer = serving.post("/jobs?ratio=16", sphere(2000).as_bytes());
+    let text = answer.body_mut().read_to_string().expect("text");
+    let job: serde_json::Value = serde_json::from_str(&text).expect("JSON");
+    let place = format!("/jobs/{}", job["id"].as_str().expect("an id"));
+    serving.wait_for("job started");
+    for _ in 0..3 {
+        serving.signal("HUP");
+        serving.wait_for("hangup: there is nothing to read again without --keys");
+    }
+    serving.wait_for("job done");
+    let job: serde_json::Value = serde_json::from_str(&serving.page(&place)).expect("JSON");
+    assert_eq!((&job["state"], &job["attempts"]), (&"done".into(), &1.into()), "{job}");
+    // Also on its way to its end.
+    serving.signal("HUP");
+    serving.signal("TERM");
+    assert_eq!(serving.end().code(), Some(0));
+}
 
 #[test]
 fn a_second_signal_ends_it_at_once() {

@@ -274,8 +274,13 @@ fn events_tell_of_the_way_to_the_end() {
     while !bytes.windows(7).any(|w| w == b"\"units\"") {
         bytes.extend(client.some());
     }
+    assert_eq!(server.metric("densecloud_event_streams"), 1.0);
     backend.open();
     bytes.extend(client.rest());
+    // How long a job is watched says nothing of how fast requests are answered.
+    wait_until("it is over", || server.metric("densecloud_event_streams") == 0.0);
+    assert_eq!(server.metric("densecloud_requests_total{interface=\"http\",outcome=\"ok\"}"), 2.0);
+    assert_eq!(server.metric("densecloud_request_duration_seconds_count{interface=\"http\"}"), 1.0);
     let reply = Reply::parse(&bytes).expect("a whole response");
     assert_eq!(reply.header("content-type"), Some("text/event-stream"));
     let text = reply.text();

@@ -2,14 +2,26 @@
 
 use std::env::consts::{DLL_PREFIX, DLL_SUFFIX};
 use std::path::PathBuf;
-use std::sync::OnceLock;
+use std::sync::{Arc, OnceLock};
 
 use ort::environment::Environment;
+use ort::logging::LogLevel;
 
 use super::BackendError;
 
 /// The process's one environment: ONNX Runtime allows no second.
 static ENVIRONMENT: OnceLock<Result<Environment, BackendError>> = OnceLock::new();
+
+/// Who is told what the runtime has to say.
+static LOG: OnceLock<fn(&str)> = OnceLock::new();
+
+/// Gives the errors that ONNX Runtime tells in its own words, on whichever thread they come, to `log` instead of standard
+/// error, where a reader who stands still would hold up that thread. To be called once, before the first
+/// [`OnnxBackend`](crate::OnnxBackend); later calls change nothing. `log` must not panic.
+pub fn log_errors_to(log: fn(&str)) {
+    // The first stays.
+    let _ = LOG.set(log);
+}
 
 /// Loads the library at the first call; later calls give the same answer.
 ///
@@ -21,12 +33,23 @@ pub(super) fn environment() -> Result<Environment, BackendError> {
 fn load() -> Result<Environment, BackendError> {
     let path = find();
     let fail = |why: String| BackendError::Library { why: format!("{}: {why}", path.display()) };
-    ort::init_from(&path)
-        .map_err(|e| fail(e.to_string()))?
-        .with_name("densecloud")
-        .with_telemetry(false)
-        .build()
-        .map_err(|e| fail(e.to_string()))
+    let mut builder =
+        ort::init_from(&path).map_err(|e| fail(e.to_string()))?.with_name("densecloud").with_telemetry(false);
+    let log = LOG.get();
+    if let Some(&log) = log {
+        let told = move |level: LogLevel, _: &str, _: &str, _: &str, words: &str| {
+            if level >= LogLevel::Error {
+                log(words);
+            }
+        };
+        builder = builder.with_logger(Arc::new(told));
+    }
+    let environment = builder.build().map_err(|e| fail(e.to_string()))?;
+    if log.is_some() {
+        // With a logger, everything is told; without, errors alone.
+        environment.set_log_level(LogLevel::Error);
+    }
+    Ok(environment)
 }
 
 fn find() -> PathBuf {

@@ -135,6 +135,6 @@ async fn metrics(State(app): State<Arc<App>>) -> impl IntoResponse {
     if let Ok(Ok(counts)) = timeout(COUNTS, jobs::ask(&app, |jobs| Ok(jobs.store().counts()?))).await {
         app.metrics.jobs(&counts);
     }
-    let page = app.metrics.render(&app.engine, app.budget.used());
+    let page = app.metrics.render(&app.engine, &app.config, app.budget.used());
     ([(header::CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")], page)
 }

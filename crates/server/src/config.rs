@@ -1,5 +1,7 @@
 //! What the server may be asked to bear, checked before a port is bound.
 
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use crate::admission::client::Access;
@@ -27,6 +29,31 @@ pub struct Config {
     pub cors: Vec<CorsOrigin>,
     /// Which model answers, for `/metrics`.
     pub model: ModelInfo,
+    /// Lines that the log has lost, for `/metrics`: whoever writes the log counts them.
+    pub lines_lost: LinesLost,
+}
+
+/// A count of lines that could not be written; clones count together.
+#[derive(Debug, Clone, Default)]
+pub struct LinesLost(Arc<AtomicU64>);
+
+impl LinesLost {
+    /// One more.
+    pub fn add(&self) {
+        self.0.fetch_add(1, Ordering::Relaxed);
+    }
+
+    /// How many so far.
+    #[must_use]
+    pub fn count(&self) -> u64 {
+        self.0.load(Ordering::Relaxed)
+    }
+}
+
+impl PartialEq for LinesLost {
+    fn eq(&self, other: &Self) -> bool {
+        self.count() == other.count()
+    }
 }
 
 /// How much a request, and all requests together, may take.

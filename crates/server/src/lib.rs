@@ -43,7 +43,7 @@ use tokio::time::{Instant, interval, sleep, timeout_at};
 
 pub use admission::client::Access;
 pub use admission::keys::{Keys, KeysError};
-pub use config::{Config, ConfigError, Limits, ModelInfo, Timeouts};
+pub use config::{Config, ConfigError, Limits, LinesLost, ModelInfo, Timeouts};
 pub use connection::cors::CorsOrigin;
 
 use app::App;

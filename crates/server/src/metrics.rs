@@ -9,7 +9,7 @@ use metrics::{Counter, Gauge, Histogram, Key, Label, Level, Metadata, Recorder, 
 use metrics_exporter_prometheus::{BuildError, PrometheusBuilder, PrometheusHandle, PrometheusRecorder};
 use metrics_process::Collector;
 
-use crate::config::ModelInfo;
+use crate::config::{Config, ModelInfo};
 use densecloud_engine::Engine;
 use densecloud_jobs::State;
 
@@ -21,6 +21,7 @@ pub(super) struct Metrics {
     points_in: Counter,
     points_out: Counter,
     in_flight: Gauge,
+    event_streams: Gauge,
     queue_points: Gauge,
     backlog: Gauge,
     memory: Gauge,
@@ -28,6 +29,9 @@ pub(super) struct Metrics {
     admitted: Counter,
     estimated: Histogram,
     worked: Histogram,
+    lines_lost: Counter,
+    /// Of the file of keys, read and not.
+    reloads: [Counter; 2],
     /// What every process tells, under the names that every one tells it.
     process: Collector,
 }
@@ -38,6 +42,7 @@ const STAGE: &str = "densecloud_stage_duration_seconds";
 const POINTS_IN: &str = "densecloud_points_in_total";
 const POINTS_OUT: &str = "densecloud_points_out_total";
 const IN_FLIGHT: &str = "densecloud_requests_in_flight";
+const EVENT_STREAMS: &str = "densecloud_event_streams";
 const QUEUE: &str = "densecloud_queue_points";
 const BACKLOG: &str = "densecloud_backlog_seconds";
 const MEMORY: &str = "densecloud_work_memory_bytes";
@@ -48,6 +53,12 @@ const WORKED: &str = "densecloud_work_seconds";
 const HELD: &str = "densecloud_held_bytes";
 const JOBS: &str = "densecloud_jobs";
 const MODEL: &str = "densecloud_model_info";
+const BUILD: &str = "densecloud_build_info";
+const LINES_LOST: &str = "densecloud_log_lines_lost_total";
+const RELOADS: &str = "densecloud_keys_reloads_total";
+/// As the crate for figures of the process has it: with fractions it is a gauge there, which it never is.
+const CPU_TYPE: [&str; 2] =
+    ["# TYPE process_cpu_seconds_total gauge\n", "# TYPE process_cpu_seconds_total counter\n"];
 
 /// Why requests are mostly refused.
 const REASONS: [&str; 8] = [
@@ -112,11 +123,17 @@ impl Metrics {
             (POINTS_OUT, None, "Points in the results of answered requests"),
             (ADMITTED, None, "Requests for which points of the queue were taken"),
             (REFUSED, None, "Requests for which none were, by the end of the problem's type"),
+            (LINES_LOST, None, "Lines of the log that could not be written, or found no room"),
+            (RELOADS, None, "Times that the file of keys was read again (ok), or could not be (failed)"),
         ] {
             recorder.describe_counter(name.into(), unit, text.into());
         }
         for (name, unit, text) in [
-            (DURATION, Unit::Seconds, "From a request's head to the last byte of its response"),
+            (
+                DURATION,
+                Unit::Seconds,
+                "From a request's head to the last byte of its response; not of events",
+            ),
             (ESTIMATED, Unit::Seconds, "What finished work was expected to take, alone on the machine"),
             (WORKED, Unit::Seconds, "What it took, without the time that other work had"),
             (STAGE, Unit::Seconds, "Work on one request, by stage; upload includes waiting for the client"),
@@ -125,12 +142,14 @@ impl Metrics {
         }
         for (name, unit, text) in [
             (IN_FLIGHT, None, "Requests whose response is not over"),
+            (EVENT_STREAMS, None, "Streams of a job's events that are open"),
             (QUEUE, None, "Points reserved, queued or being worked on"),
             (BACKLOG, Some(Unit::Seconds), "How long all that is admitted will take"),
             (MEMORY, Some(Unit::Bytes), "Memory that the work at hand takes, as estimated"),
             (HELD, Some(Unit::Bytes), "Uploads not yet parsed and results not yet sent"),
             (JOBS, None, "Jobs that are kept, by state"),
             (MODEL, None, "The model that answers; always 1"),
+            (BUILD, None, "The program; always 1"),
         ] {
             recorder.describe_gauge(name.into(), unit, text.into());
         }
@@ -142,6 +161,7 @@ impl Metrics {
             points_in: recorder.register_counter(&Key::from_static_name(POINTS_IN), &METADATA),
             points_out: recorder.register_counter(&Key::from_static_name(POINTS_OUT), &METADATA),
             in_flight: recorder.register_gauge(&Key::from_static_name(IN_FLIGHT), &METADATA),
+            event_streams: recorder.register_gauge(&Key::from_static_name(EVENT_STREAMS), &METADATA),
             queue_points: recorder.register_gauge(&Key::from_static_name(QUEUE), &METADATA),
             backlog: recorder.register_gauge(&Key::from_static_name(BACKLOG), &METADATA),
             memory: recorder.register_gauge(&Key::from_static_name(MEMORY), &METADATA),
@@ -149,6 +169,11 @@ impl Metrics {
             estimated: recorder.register_histogram(&Key::from_static_name(ESTIMATED), &METADATA),
             worked: recorder.register_histogram(&Key::from_static_name(WORKED), &METADATA),
             held_bytes: recorder.register_gauge(&Key::from_static_name(HELD), &METADATA),
+            lines_lost: recorder.register_counter(&Key::from_static_name(LINES_LOST), &METADATA),
+            reloads: ["ok", "failed"].map(|outcome| {
+                let outcome = Label::from_static_parts("outcome", outcome);
+                recorder.register_counter(&Key::from_parts(RELOADS, vec![outcome]), &METADATA)
+            }),
             process: Collector::default(),
             recorder,
         };
@@ -167,6 +192,11 @@ impl Metrics {
             Label::new("provider", model.provider.clone()),
         ];
         metrics.recorder.register_gauge(&Key::from_parts(MODEL, labels), &METADATA).set(1.0);
+        let labels = vec![
+            Label::from_static_parts("version", env!("CARGO_PKG_VERSION")),
+            Label::new("model", model.name.name.clone()),
+        ];
+        metrics.recorder.register_gauge(&Key::from_parts(BUILD, labels), &METADATA).set(1.0);
         Ok(metrics)
     }
 
@@ -181,6 +211,18 @@ impl Metrics {
         self.in_flight.decrement(1.0);
         self.requests(interface, outcome).increment(1);
         self.duration[interface as usize].record(took);
+    }
+
+    /// A response is a stream of events, and so goes on for as long as what it tells of.
+    pub(super) fn events_begun(&self) {
+        self.event_streams.increment(1.0);
+    }
+
+    /// It is over. Counted as any request; how long it took says nothing of how fast requests are answered.
+    pub(super) fn events_ended(&self, interface: Interface, outcome: &'static str) {
+        self.event_streams.decrement(1.0);
+        self.in_flight.decrement(1.0);
+        self.requests(interface, outcome).increment(1);
     }
 
     /// One stage of one request.
@@ -217,13 +259,19 @@ impl Metrics {
     }
 
     /// The page, with what the engine and the requests hold at the moment.
-    pub(super) fn render(&self, engine: &Engine, held_bytes: u64) -> String {
+    pub(super) fn render(&self, engine: &Engine, config: &Config, held_bytes: u64) -> String {
         self.queue_points.set(engine.queued_points() as f64);
         self.backlog.set(engine.backlog().as_secs_f64());
         self.memory.set(engine.memory() as f64);
         self.held_bytes.set(held_bytes as f64);
+        self.lines_lost.absolute(config.lines_lost.count());
+        let reloads = config.access.keys.as_ref().map_or([0, 0], |keys| keys.reloads());
+        for (counter, count) in self.reloads.iter().zip(reloads) {
+            counter.absolute(count);
+        }
         metrics::with_local_recorder(&self.recorder, || self.process.collect());
-        self.handle.render()
+        let [gauge, counter] = CPU_TYPE;
+        self.handle.render().replacen(gauge, counter, 1)
     }
 
     /// How many jobs are kept in each state.
@@ -284,7 +332,7 @@ mod tests {
             provider: "cpu".into(),
         };
         let metrics = Metrics::new(&model).expect("metrics");
-        let page = metrics.render(&idle(), 0);
+        let page = metrics.render(&idle(), &Config::default(), 0);
         for line in [
             "densecloud_requests_total{interface=\"http\",outcome=\"ok\"} 0",
             "densecloud_requests_total{interface=\"grpc\",outcome=\"ok\"} 0",
@@ -293,6 +341,10 @@ mod tests {
             "# TYPE process_resident_memory_bytes gauge",
             "# TYPE process_cpu_seconds_total counter",
             "densecloud_model_info{model=\"default\",sha256=\"ab12\",provider=\"cpu\"} 1",
+            concat!("densecloud_build_info{version=\"", env!("CARGO_PKG_VERSION"), "\",model=\"default\"} 1"),
+            "densecloud_log_lines_lost_total 0",
+            "densecloud_keys_reloads_total{outcome=\"failed\"} 0",
+            "densecloud_event_streams 0",
         ] {
             assert!(page.lines().any(|l| l == line), "{line} is missing in\n{page}");
         }
@@ -306,14 +358,25 @@ mod tests {
         metrics.admitted();
         metrics.refused("queue-full");
         metrics.worked(Duration::from_millis(1), Duration::from_millis(2));
-        let page = metrics.render(&idle(), 99);
+        for _ in 0..2 {
+            metrics.begun();
+            metrics.events_begun();
+        }
+        metrics.events_ended(Interface::Http, "cancelled");
+        let config = Config::default();
+        config.lines_lost.add();
+        let page = metrics.render(&idle(), &config, 99);
         for line in [
             "densecloud_requests_total{interface=\"http\",outcome=\"ok\"} 1",
             "densecloud_requests_total{interface=\"grpc\",outcome=\"ok\"} 1",
             "densecloud_request_duration_seconds_bucket{interface=\"http\",le=\"0.01\"} 0",
             "densecloud_request_duration_seconds_bucket{interface=\"http\",le=\"0.05\"} 1",
             "densecloud_stage_duration_seconds_count{stage=\"units\"} 1",
-            "densecloud_requests_in_flight 1",
+            "densecloud_request_duration_seconds_count{interface=\"http\"} 1",
+            "densecloud_requests_total{interface=\"http\",outcome=\"cancelled\"} 1",
+            "densecloud_event_streams 1",
+            "densecloud_log_lines_lost_total 1",
+            "densecloud_requests_in_flight 2",
             "densecloud_points_in_total 10",
             "densecloud_points_out_total 40",
             "densecloud_refused_total{reason=\"queue-full\"} 1",
@@ -334,16 +397,30 @@ mod tests {
         metrics.jobs(&[(State::Queued, 1)]);
         metrics.refused("queue-full");
         metrics.worked(Duration::ZERO, Duration::ZERO);
-        let page = metrics.render(&idle(), 0);
+        let page = metrics.render(&idle(), &Config::default(), 0);
         let names: Vec<_> = page
             .lines()
             .filter(|line| line.contains(" densecloud_"))
             .filter_map(|line| line.strip_prefix("# TYPE ")?.split(' ').next())
             .collect();
-        assert_eq!(names.len(), 16, "{names:?}");
+        assert_eq!(names.len(), 20, "{names:?}");
         for name in names {
             assert!(manual.contains(&format!("`{name}`")), "{name} is not in the manual");
         }
+    }
+
+    #[test]
+    #[cfg(target_os = "linux")]
+    fn processor_time_has_fractions() {
+        let metrics = Metrics::new(&ModelInfo::default()).expect("metrics");
+        let engine = idle();
+        // Of some hundred hundredths, one is no whole second.
+        let fraction = (0..1_000_000).any(|_| {
+            let page = metrics.render(&engine, &Config::default(), 0);
+            let value = page.lines().find_map(|line| line.strip_prefix("process_cpu_seconds_total "));
+            value.expect("a value").parse::<f64>().expect("a number").fract() > 0.0
+        });
+        assert!(fraction);
     }
 
     #[test]
@@ -351,7 +428,7 @@ mod tests {
         let one = Metrics::new(&ModelInfo::default()).expect("metrics");
         let other = Metrics::new(&ModelInfo::default()).expect("metrics");
         one.points(1, 2);
-        assert!(one.render(&idle(), 0).contains("densecloud_points_in_total 1"));
-        assert!(other.render(&idle(), 0).contains("densecloud_points_in_total 0"));
+        assert!(one.render(&idle(), &Config::default(), 0).contains("densecloud_points_in_total 1"));
+        assert!(other.render(&idle(), &Config::default(), 0).contains("densecloud_points_in_total 0"));
     }
 }

@@ -40,12 +40,12 @@ impl EngineArgs {
     /// Starts an engine for one request at a time.
     pub(super) fn engine(&self, model: Arc<Model>) -> Result<Engine, CliError> {
         let config = EngineConfig { threads: self.threads, concurrency: 1, ..EngineConfig::default() };
-        start(model, config)
+        start(model, || config)
     }
 }
 
-/// Loads a model into ONNX Runtime, and starts an engine over it.
-pub(super) fn start(model: Arc<Model>, config: EngineConfig) -> Result<Engine, CliError> {
+/// Loads a model into ONNX Runtime, and starts an engine over it, of sizes that may depend on what is left by then.
+pub(super) fn start(model: Arc<Model>, config: impl FnOnce() -> EngineConfig) -> Result<Engine, CliError> {
     let backend = OnnxBackend::new(model).map_err(|e| CliError::Failed(e.to_string()))?;
-    Engine::with_backend(Arc::new(backend), config).map_err(|e| CliError::Failed(e.to_string()))
+    Engine::with_backend(Arc::new(backend), config()).map_err(|e| CliError::Failed(e.to_string()))
 }

@@ -9,6 +9,7 @@ mod evaluate;
 mod files;
 mod inspect;
 mod job;
+mod log;
 mod memory;
 mod options;
 mod remote;
@@ -60,6 +61,10 @@ pub(crate) fn main() -> ExitCode {
     let typed: Vec<OsString> = std::env::args_os().collect();
     let (arguments, matches) = match parse(&typed) {
         Ok(parsed) => parsed,
+        Err(refused) if refused.is_failure() && settings::logs_json(&typed) => {
+            log::failed_in_json(&refused.to_string(), io::stderr);
+            return ExitCode::from(CliError::USAGE);
+        }
         Err(Refused::Arguments(error, file)) => {
             // Help and version go to stdout and are no failure; a closed pipe is nobody's concern.
             let _ = error.print();
@@ -70,7 +75,11 @@ pub(crate) fn main() -> ExitCode {
         }
         Err(Refused::File(error)) => return failed(&error),
     };
-    match run(arguments.command, &matches) {
+    let done = match arguments.command {
+        Command::Serve(args) if !args.prints_settings() => return serve::run(&args),
+        command => run(command, &matches),
+    };
+    match done {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => failed(&error),
     }
@@ -100,11 +109,11 @@ fn run(command: Command, matches: &ArgMatches) -> Result<(), CliError> {
         Command::Sample(args) => sample::run(&args),
         Command::Upsample(args) => upsample::run(&args),
         Command::Evaluate(args) => evaluate::run(&args),
-        Command::Serve(args) if args.prints_settings() => {
+        // To serve, it never comes back here.
+        Command::Serve(args) => {
             args.check()?;
             files::print(&settings::page(&Arguments::command(), matches))
         }
-        Command::Serve(args) => serve::run(&args),
         Command::Job(args) => job::run(&args),
     }
 }

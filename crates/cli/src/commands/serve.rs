@@ -2,22 +2,30 @@
 
 use std::io::{self, IsTerminal};
 use std::path::Path;
+use std::process::ExitCode;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
 
 use tokio::net::TcpListener;
 use tokio::runtime::Runtime;
+use tokio::task::spawn_blocking;
 use tracing_subscriber::EnvFilter;
 
+use super::log::{Log, failed_in_json};
 use super::serve_args::{Checked, LogFormat, ServeArgs};
-use super::signals::Signals;
-use super::{CliError, engine_args};
+use super::signals::{Hangups, Signals};
+use super::{CliError, engine_args, memory};
 use densecloud_backends::Model;
 use densecloud_engine::Engine;
-use densecloud_server::{Config, ModelInfo};
+use densecloud_server::{Config, Keys, ModelInfo};
 
 /// Threads for parsing and encoding. Few, since the engine's own threads need the processors; enough
 /// that one long parse does not hold up the others.
 const BLOCKING_THREADS: usize = 16;
+
+/// How long the end waits for a reader of the log.
+const LAST_LINES: Duration = Duration::from_secs(2);
 
 /// Makes a folder, where it is missing, that nobody else on the machine can look into.
 fn private_folder(folder: &Path) -> io::Result<()> {
@@ -46,39 +54,105 @@ fn raise_descriptors(connections: usize) {
     }
 }
 
-pub(super) fn run(args: &ServeArgs) -> Result<(), CliError> {
-    let Checked { config, model, filter } = args.check()?;
+/// Serves until it is told to end; says why, where it does not or ends by itself.
+pub(super) fn run(args: &ServeArgs) -> ExitCode {
+    let log = match Log::start() {
+        Ok(log) => log,
+        Err(error) => return super::failed(&CliError::Failed(format!("cannot start the log: {error}"))),
+    };
+    let code = match begin(args, &log) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            tell(&error, args.log_format, &log);
+            ExitCode::from(error.exit_code())
+        }
+    };
+    OVER.store(true, Ordering::Relaxed);
+    log.flush(LAST_LINES);
+    code
+}
+
+/// Says why it ends. A collector that reads JSON reads nothing else.
+fn tell(error: &CliError, format: LogFormat, log: &Log) {
+    match format {
+        LogFormat::Json => failed_in_json(&error.to_string(), log.clone()),
+        LogFormat::Text => {
+            // In the log, too, if it has begun, where a collector finds it.
+            tracing::error!(why = %error, "failed");
+            log.line(format!("densecloud: {error}\n").into());
+        }
+    }
+}
+
+fn begin(args: &ServeArgs, log: &Log) -> Result<(), CliError> {
+    let Checked { mut config, model, filter } = args.check()?;
+    config.lines_lost = log.lost().clone();
     if let Some(jobs) = &config.jobs {
         private_folder(&jobs.folder).map_err(|error| {
             let folder = jobs.folder.display();
             CliError::Usage(format!("--data-dir {folder}: {error}; give it a folder that can be written to"))
         })?;
     }
-    start_log(filter, args.log_format)?;
+    start_log(filter, args.log_format, log)?;
     raise_descriptors(config.limits.connections);
+    check_held(config.limits.held_bytes);
     if let Some(file) = &args.settings.config {
         tracing::info!(file = %file.display(), "settings read");
     }
-    // In the log, too, where a collector finds it.
-    start(args, config, model).inspect_err(|error| tracing::error!(why = %error, "failed"))
+    start(args, config, model, log)
 }
 
-fn start(args: &ServeArgs, mut config: Config, model: Arc<Model>) -> Result<(), CliError> {
+/// Uploads and results are bounded by a setting, not by what there is.
+fn check_held(held: u64) {
+    if let Some(available) = memory::available().filter(|&available| available < held) {
+        tracing::warn!(
+            available,
+            held,
+            "there is less memory than uploads and results may take; lower --max-held-bytes"
+        );
+    }
+}
+
+fn start(args: &ServeArgs, mut config: Config, model: Arc<Model>, log: &Log) -> Result<(), CliError> {
     let failed = |why: &dyn std::fmt::Display| CliError::Failed(why.to_string());
-    let engine = engine_args::start(model.clone(), args.sizes())?;
-    config.model = ModelInfo { name: model.name(), provider: engine.provider().to_owned() };
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .enable_all()
         .max_blocking_threads(BLOCKING_THREADS)
         .build()
         .map_err(|e| failed(&e))?;
-    let served = runtime.block_on(serve(args, engine, config));
+    // At once, since a hangup would end the program until then; loading the model takes a while.
+    let hangups = runtime.block_on(async { Hangups::catch() }).map_err(|e| uncaught(&e))?;
+    let engine = engine_args::start(model.clone(), || args.sizes())?;
+    config.model = ModelInfo { name: model.name(), provider: engine.provider().to_owned() };
+    runtime.spawn(read_again(hangups, config.access.keys.clone()));
+    let served = runtime.block_on(serve(args, engine, config, log));
     stop(runtime);
     served
 }
 
-async fn serve(args: &ServeArgs, engine: Engine, config: Config) -> Result<(), CliError> {
-    let signals = Signals::catch().map_err(|e| CliError::Failed(format!("cannot wait for signals: {e}")))?;
+fn uncaught(error: &io::Error) -> CliError {
+    CliError::Failed(format!("cannot wait for signals: {error}"))
+}
+
+/// Reads the keys again at each hangup.
+async fn read_again(mut hangups: Hangups, keys: Option<Arc<Keys>>) {
+    loop {
+        hangups.next().await;
+        let Some(keys) = keys.clone() else {
+            tracing::info!("hangup: there is nothing to read again without --keys");
+            continue;
+        };
+        match spawn_blocking(move || keys.reload()).await {
+            Ok(Ok(keys)) => tracing::info!(keys, "keys read again"),
+            Ok(Err(error)) => tracing::error!(why = %error, "keys not read again; those before stay"),
+            // A panic is in the log.
+            Err(_) => {}
+        }
+    }
+}
+
+async fn serve(args: &ServeArgs, engine: Engine, config: Config, log: &Log) -> Result<(), CliError> {
+    let signals = Signals::catch().map_err(|e| uncaught(&e))?;
     let (host, port) = (args.host.as_str(), args.port);
     let unbound = |e: io::Error| {
         CliError::Failed(format!(
@@ -92,7 +166,7 @@ async fn serve(args: &ServeArgs, engine: Engine, config: Config) -> Result<(), C
         %address, model = model.name.name, provider = model.provider, threads = engine.threads(),
         max_memory = engine.max_memory(), keys = config.access.keys.is_some(), "listening"
     );
-    densecloud_server::run(listener, engine, config, signals.first())
+    densecloud_server::run(listener, engine, config, signals.first(log.clone()))
         .await
         .map_err(|e| CliError::Failed(e.to_string()))
 }
@@ -102,17 +176,29 @@ fn stop(runtime: Runtime) {
     runtime.shutdown_background();
 }
 
-fn start_log(filter: EnvFilter, format: LogFormat) -> Result<(), CliError> {
-    let log = tracing_subscriber::fmt()
+/// Whether the log has had its last line: what ends with the process may speak when nothing can be logged any more.
+static OVER: AtomicBool = AtomicBool::new(false);
+
+fn runtime_failed(words: &str) {
+    if !OVER.load(Ordering::Relaxed) {
+        tracing::error!(why = words, "ONNX Runtime");
+    }
+}
+
+fn start_log(filter: EnvFilter, format: LogFormat, log: &Log) -> Result<(), CliError> {
+    let lines = tracing_subscriber::fmt()
         .with_env_filter(filter)
-        .with_writer(io::stderr)
+        .with_writer(log.clone())
         .with_ansi(io::stderr().is_terminal())
-        .with_target(false);
+        .with_target(false)
+        // They would go to standard error, which may be what fails.
+        .log_internal_errors(false);
     let started = match format {
-        LogFormat::Text => log.try_init(),
-        LogFormat::Json => log.json().try_init(),
+        LogFormat::Text => lines.try_init(),
+        LogFormat::Json => lines.json().try_init(),
     };
     started.map_err(|e| CliError::Failed(format!("cannot start the log: {e}")))?;
+    densecloud_backends::log_errors_to(runtime_failed);
     // A collector that reads JSON could not make sense of a panic's own lines.
     std::panic::set_hook(Box::new(|panic| {
         tracing::error!(

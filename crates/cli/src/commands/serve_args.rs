@@ -13,7 +13,7 @@ use super::settings::SettingsArgs;
 use super::{CliError, memory};
 use densecloud_backends::Model;
 use densecloud_engine::EngineConfig;
-use densecloud_server::{Access, Config, CorsOrigin, Keys, Limits, ModelInfo, Timeouts};
+use densecloud_server::{Access, Config, CorsOrigin, Keys, Limits, LinesLost, ModelInfo, Timeouts};
 
 /// Points out that a service takes at a time.
 const QUEUE_POINTS: u64 = 50_000_000;
@@ -26,7 +26,7 @@ Examples:
   curl --data-binary @scan.ply 'http://localhost:8080/upsample?ratio=4' -o dense.ply
 
 SIGTERM and SIGINT let requests in flight finish (--drain-lead, --drain-timeout); a second one ends
-at once.")]
+at once. SIGHUP has the file of --keys read again, and ends nothing.")]
 pub(super) struct ServeArgs {
     #[command(flatten)]
     pub(super) settings: SettingsArgs,
@@ -232,6 +232,7 @@ impl ServeArgs {
             jobs: self.jobs.settings(),
             cors: self.cors_origin.clone(),
             model: ModelInfo::default(),
+            lines_lost: LinesLost::default(),
         }
     }
 }

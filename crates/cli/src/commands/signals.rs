@@ -1,8 +1,10 @@
-//! The signals that end the server.
+//! The signals that end the server, and the one that has it read its files again.
 
 use std::io;
 use std::process::exit;
+use std::time::Duration;
 
+use super::log::Log;
 #[cfg(unix)]
 use tokio::signal::unix::{Signal, SignalKind, signal};
 #[cfg(windows)]
@@ -14,6 +16,9 @@ const BY_SIGNAL: i32 = 128;
 const INTERRUPT: i32 = 2;
 /// That of a wish to end.
 const TERMINATE: i32 = 15;
+
+/// For the last lines of the log, where the end is to be at once.
+const LAST_LINES: Duration = Duration::from_millis(200);
 
 /// Both ways in which the server is told to end, from now on caught.
 pub(super) struct Signals {
@@ -48,11 +53,12 @@ impl Signals {
     }
 
     /// Resolves at the first signal; from then on the next one ends the process.
-    pub(super) async fn first(mut self) {
+    pub(super) async fn first(mut self, log: Log) {
         self.next().await;
         tokio::spawn(async move {
             let number = self.next().await;
             tracing::warn!("second signal: ending at once");
+            log.flush(LAST_LINES);
             exit(BY_SIGNAL + number);
         });
     }
@@ -63,5 +69,33 @@ impl Signals {
             _ = self.terminate.recv() => TERMINATE,
             _ = self.interrupt.recv() => INTERRUPT,
         }
+    }
+}
+
+/// Hangups, from now on caught: what ends other programs when their terminal closes, and has servers read their files
+/// again. There are none outside Unix.
+pub(super) struct Hangups {
+    #[cfg(unix)]
+    hangup: Signal,
+}
+
+impl Hangups {
+    /// Begins to catch them, in a runtime.
+    ///
+    /// # Errors
+    /// The system's.
+    pub(super) fn catch() -> io::Result<Self> {
+        Ok(Self {
+            #[cfg(unix)]
+            hangup: signal(SignalKind::hangup())?,
+        })
+    }
+
+    /// Resolves at the next one; several that come together may be one.
+    pub(super) async fn next(&mut self) {
+        #[cfg(unix)]
+        self.hangup.recv().await;
+        #[cfg(not(unix))]
+        std::future::pending::<()>().await;
     }
 }

@@ -49,7 +49,7 @@ impl Access {
         };
         let key = key(headers).ok_or(Problem::Unauthorized("this server needs a key, and none came"))?;
         let name = keys.name(key).ok_or(Problem::Unauthorized("this key is not known here"))?;
-        Ok(Client::new(name))
+        Ok(Client::new(&name))
     }
 
     fn address(&self, headers: &HeaderMap, peer: Option<IpAddr>) -> Option<IpAddr> {

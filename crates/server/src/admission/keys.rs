@@ -2,18 +2,25 @@
 //!
 //! A line of the file is a client's name, then its key: the key itself, or `sha256:` and the 64
 //! hexadecimal digits of its SHA-256. `#` begins a comment. A name may come several times, so that a key
-//! can be replaced while the old one still works. Keys themselves are hashed at once and kept nowhere.
+//! can be replaced while the old one still works. Keys themselves are hashed at once and kept nowhere. The file can be read
+//! again while the server runs.
 
 use std::fs::File;
 use std::io::{self, Read};
-use std::path::Path;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, PoisonError, RwLock};
 
 use sha2::{Digest, Sha256};
 use subtle::ConstantTimeEq;
 
-/// All keys that a server knows.
-#[derive(Clone, PartialEq, Eq)]
-pub struct Keys(Vec<Entry>);
+/// All keys that a server knows; shared by all to whom an `Arc` of it was given, when it is [read again](Keys::reload), too.
+pub struct Keys {
+    path: PathBuf,
+    // Few read it at a time, and none for longer than a lookup takes; a channel would say nothing more.
+    entries: RwLock<Arc<[Entry]>>,
+    reloads: [AtomicU64; 2],
+}
 
 #[derive(Clone, PartialEq, Eq)]
 struct Entry {
@@ -24,9 +31,18 @@ struct Entry {
 impl std::fmt::Debug for Keys {
     /// Names alone.
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_set().entries(self.0.iter().map(|entry| &entry.name)).finish()
+        f.debug_set().entries(self.entries().iter().map(|entry| &entry.name)).finish()
     }
 }
+
+impl PartialEq for Keys {
+    /// Whether both know the same keys at the moment.
+    fn eq(&self, other: &Self) -> bool {
+        self.entries() == other.entries()
+    }
+}
+
+impl Eq for Keys {}
 
 /// Why a file of keys is not taken.
 #[derive(Debug, thiserror::Error)]
@@ -63,69 +79,99 @@ impl Keys {
     /// # Errors
     /// See [`KeysError`].
     pub fn read(path: &Path) -> Result<Self, KeysError> {
-        let mut text = String::new();
-        File::open(path)?.take(LONGEST_FILE).read_to_string(&mut text)?;
-        let (keys, plain) = Self::parse(&text)?;
-        if plain && readable_by_all(path)? {
-            return Err(KeysError::Readable);
-        }
-        Ok(keys)
+        let entries = RwLock::new(entries(path)?.into());
+        Ok(Self { path: path.to_owned(), entries, reloads: Default::default() })
     }
 
-    /// Reads a file's text; also says whether there is a key in it that is not hashed.
-    fn parse(text: &str) -> Result<(Self, bool), KeysError> {
-        let mut entries: Vec<Entry> = Vec::new();
-        let mut plain = false;
-        for (i, line) in text.lines().enumerate() {
-            let wrong = |why| KeysError::Line { line: i + 1, why };
-            let line = line.trim();
-            if line.is_empty() || line.starts_with('#') {
-                continue;
-            }
-            let mut words = line.split_whitespace();
-            let (Some(name), Some(key), None) = (words.next(), words.next(), words.next()) else {
-                return Err(wrong("not a name, a space and a key"));
-            };
-            let known = |b: u8| b.is_ascii_alphanumeric() || matches!(b, b'.' | b'_' | b'-');
-            if name.len() > LONGEST_NAME || !name.bytes().all(known) {
-                return Err(wrong("a name may have up to 64 letters, digits, dots, dashes and underscores"));
-            }
-            let hash = match key.strip_prefix("sha256:") {
-                Some(digits) => {
-                    digest(digits).ok_or(wrong("sha256: must be followed by 64 hexadecimal digits"))?
-                }
-                None if key.len() < SHORTEST => return Err(wrong("a key must have 16 characters at least")),
-                None if !key.bytes().all(|b| b.is_ascii_graphic()) => {
-                    return Err(wrong("a key may have visible ASCII characters alone"));
-                }
-                None => {
-                    plain = true;
-                    Sha256::digest(key).into()
-                }
-            };
-            if entries.iter().any(|entry| entry.hash == hash) {
-                return Err(wrong("the same key is in an earlier line"));
-            }
-            entries.push(Entry { name: name.to_owned(), hash });
-        }
-        if entries.is_empty() {
-            return Err(KeysError::Empty);
-        }
-        Ok((Self(entries), plain))
+    /// Reads the file again: from then on its keys count, and no others. Says how many there are. What was begun under
+    /// a key that is gone goes on. Blocks for the file.
+    ///
+    /// # Errors
+    /// See [`KeysError`]; all keys are as before then.
+    pub fn reload(&self) -> Result<usize, KeysError> {
+        let read = entries(&self.path);
+        self.reloads[usize::from(read.is_err())].fetch_add(1, Ordering::Relaxed);
+        let read = read?;
+        let count = read.len();
+        *self.entries.write().unwrap_or_else(PoisonError::into_inner) = read.into();
+        Ok(count)
+    }
+
+    /// How often the file was read again, and how often it could not be.
+    pub(crate) fn reloads(&self) -> [u64; 2] {
+        self.reloads.each_ref().map(|count| count.load(Ordering::Relaxed))
+    }
+
+    fn entries(&self) -> Arc<[Entry]> {
+        Arc::clone(&self.entries.read().unwrap_or_else(PoisonError::into_inner))
     }
 
     /// The name of a key, where it is known. Takes the same time whatever key is shown: hashes are compared, so
     /// that its length does not tell, and all of them to their ends.
-    pub(crate) fn name(&self, key: &[u8]) -> Option<&str> {
+    pub(crate) fn name(&self, key: &[u8]) -> Option<String> {
         let hash: [u8; 32] = Sha256::digest(key).into();
+        let entries = self.entries();
         let mut found = None;
-        for entry in &self.0 {
+        for entry in &*entries {
             if bool::from(entry.hash.ct_eq(&hash)) {
-                found = Some(entry.name.as_str());
+                found = Some(&entry.name);
             }
         }
-        found
+        found.cloned()
     }
+}
+
+/// Reads a file of keys.
+fn entries(path: &Path) -> Result<Vec<Entry>, KeysError> {
+    let mut text = String::new();
+    File::open(path)?.take(LONGEST_FILE).read_to_string(&mut text)?;
+    let (entries, plain) = parse(&text)?;
+    if plain && readable_by_all(path)? {
+        return Err(KeysError::Readable);
+    }
+    Ok(entries)
+}
+
+/// Reads a file's text; also says whether there is a key in it that is not hashed.
+fn parse(text: &str) -> Result<(Vec<Entry>, bool), KeysError> {
+    let mut entries: Vec<Entry> = Vec::new();
+    let mut plain = false;
+    for (i, line) in text.lines().enumerate() {
+        let wrong = |why| KeysError::Line { line: i + 1, why };
+        let line = line.trim();
+        if line.is_empty() || line.starts_with('#') {
+            continue;
+        }
+        let mut words = line.split_whitespace();
+        let (Some(name), Some(key), None) = (words.next(), words.next(), words.next()) else {
+            return Err(wrong("not a name, a space and a key"));
+        };
+        let known = |b: u8| b.is_ascii_alphanumeric() || matches!(b, b'.' | b'_' | b'-');
+        if name.len() > LONGEST_NAME || !name.bytes().all(known) {
+            return Err(wrong("a name may have up to 64 letters, digits, dots, dashes and underscores"));
+        }
+        let hash = match key.strip_prefix("sha256:") {
+            Some(digits) => {
+                digest(digits).ok_or(wrong("sha256: must be followed by 64 hexadecimal digits"))?
+            }
+            None if key.len() < SHORTEST => return Err(wrong("a key must have 16 characters at least")),
+            None if !key.bytes().all(|b| b.is_ascii_graphic()) => {
+                return Err(wrong("a key may have visible ASCII characters alone"));
+            }
+            None => {
+                plain = true;
+                Sha256::digest(key).into()
+            }
+        };
+        if entries.iter().any(|entry| entry.hash == hash) {
+            return Err(wrong("the same key is in an earlier line"));
+        }
+        entries.push(Entry { name: name.to_owned(), hash });
+    }
+    if entries.is_empty() {
+        return Err(KeysError::Empty);
+    }
+    Ok((entries, plain))
 }
 
 fn digest(digits: &str) -> Option<[u8; 32]> {
@@ -158,14 +204,26 @@ mod tests {
 
     const KEY: &str = "0123456789abcdef";
 
+    /// A file of keys that nobody else can read, in a folder of its own.
+    fn write(path: &Path, text: &str) {
+        std::fs::write(path, text).expect("a file");
+        #[cfg(unix)]
+        {
+            let owners = std::os::unix::fs::PermissionsExt::from_mode(0o600);
+            std::fs::set_permissions(path, owners).expect("permissions");
+        }
+    }
+
     #[test]
     fn keys_are_known_plain_or_hashed_and_by_several_for_one_name() {
         let text = format!(
             "# ours\n\n alice  {KEY}\nbob {}\nalice another-key-of-hers\n",
             hashed("bobs secret key!")
         );
-        let (keys, plain) = Keys::parse(&text).expect("keys");
-        assert!(plain);
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("keys");
+        write(&path, &text);
+        let keys = Keys::read(&path).expect("keys");
         for (key, name) in [
             (KEY, Some("alice")),
             ("another-key-of-hers", Some("alice")),
@@ -174,11 +232,37 @@ mod tests {
             ("0123456789abcdef0", None),
             ("", None),
         ] {
-            assert_eq!(keys.name(key.as_bytes()), name, "{key}");
+            assert_eq!(keys.name(key.as_bytes()).as_deref(), name, "{key}");
         }
         let shown = format!("{keys:?}");
         assert!(shown.contains("alice") && !shown.contains(KEY), "{shown}");
-        assert!(!Keys::parse(&format!("bob {}", hashed(KEY))).expect("keys").1);
+        assert!(parse(&text).expect("keys").1);
+        assert!(!parse(&format!("bob {}", hashed(KEY))).expect("keys").1);
+    }
+
+    #[test]
+    fn a_file_that_is_read_again_counts_at_once_and_one_that_is_broken_changes_nothing() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("keys");
+        write(&path, &format!("alice {KEY}\n"));
+        let keys = Arc::new(Keys::read(&path).expect("keys"));
+        let names = |keys: &Keys| [KEY, "another-key-of-hers"].map(|key| keys.name(key.as_bytes()));
+        let alice = || Some("alice".to_owned());
+        write(&path, &format!("alice {KEY}\nalice another-key-of-hers\n"));
+        assert_eq!(names(&keys), [alice(), None], "not yet");
+        assert_eq!(keys.reload().expect("keys"), 2);
+        assert_eq!(names(&keys), [alice(), alice()]);
+        write(&path, "alice another-key-of-hers\n");
+        assert_eq!(keys.reload().expect("keys"), 1);
+        assert_eq!(names(&keys), [None, alice()]);
+        for broken in ["", "alice short\n", "# no key\n", "alice \u{1b}\n"] {
+            write(&path, broken);
+            assert!(keys.reload().is_err(), "{broken:?}");
+            assert_eq!(names(&keys), [None, alice()], "{broken:?}");
+        }
+        std::fs::remove_file(&path).expect("a file");
+        assert!(matches!(keys.reload(), Err(KeysError::Io(_))));
+        assert_eq!((names(&keys), keys.reloads()), ([None, alice()], [2, 5]));
     }
 
     #[test]
@@ -193,10 +277,10 @@ mod tests {
             ("alice fine-and-long-enough", "earlier line"),
         ] {
             let text = format!("x fine-and-long-enough\n{line}\n");
-            let error = Keys::parse(&text).expect_err(line).to_string();
+            let error = parse(&text).err().expect(line).to_string();
             assert!(error.contains("line 2") && error.contains(part), "{line}: {error}");
         }
-        assert!(matches!(Keys::parse("# nothing\n"), Err(KeysError::Empty)));
+        assert!(matches!(parse("# nothing\n"), Err(KeysError::Empty)));
     }
 
     #[test]

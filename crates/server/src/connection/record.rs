@@ -93,6 +93,7 @@ pub(crate) async fn record(State(app): State<Arc<App>>, mut request: Request, ne
     let bodyless = request.method() == Method::HEAD;
     let mut response = next.run(request).instrument(span).await;
     record.status = Some(response.status());
+    record.tells_events(&response);
     record.points = response.extensions_mut().remove();
     let verdict = match response.extensions_mut().remove::<Problem>() {
         None => "ok",
@@ -130,6 +131,8 @@ struct Record {
     app: Arc<App>,
     /// Health checks and scrapes: too many, and too dull, to be logged and counted.
     probe: bool,
+    /// Whether the answer is a stream of events.
+    events: bool,
     start: Instant,
     span: Span,
     interface: Interface,
@@ -152,6 +155,7 @@ impl Record {
         Self {
             app,
             probe,
+            events: false,
             start: Instant::now(),
             span,
             interface,
@@ -161,6 +165,20 @@ impl Record {
             why: None,
             // Until something else is known.
             outcome: "cancelled",
+        }
+    }
+}
+
+/// The media type of server-sent events.
+const EVENTS: &[u8] = b"text/event-stream";
+
+impl Record {
+    /// Notes whether the answer is a stream of events.
+    fn tells_events(&mut self, response: &Response) {
+        let kind = response.headers().get(header::CONTENT_TYPE).map(HeaderValue::as_bytes);
+        if !self.probe && kind.is_some_and(|kind| kind.starts_with(EVENTS)) {
+            self.events = true;
+            self.app.metrics.events_begun();
         }
     }
 }
@@ -177,7 +195,10 @@ impl Drop for Record {
             (self.outcome, self.why) = (outcome, Some(why));
         }
         let took = self.start.elapsed();
-        self.app.metrics.ended(self.interface, self.outcome, took);
+        match self.events {
+            true => self.app.metrics.events_ended(self.interface, self.outcome),
+            false => self.app.metrics.ended(self.interface, self.outcome, took),
+        }
         tracing::info!(
             parent: &self.span, outcome = self.outcome, status = self.status.map(|s| s.as_u16()),
             points_in = self.points.map(|p| p.read), points_out = self.points.map(|p| p.made),

@@ -8,17 +8,20 @@
 
 mod file;
 mod kind;
+mod log_format;
 mod page;
 #[cfg(test)]
 mod tests;
 
 use std::ffi::OsString;
+use std::fmt;
 use std::path::PathBuf;
 
 use clap::parser::ValueSource;
 use clap::{Arg, ArgAction, ArgMatches, Args, Command};
 
 use super::CliError;
+pub(super) use log_format::logs_json;
 pub(super) use page::page;
 
 /// The command whose options are settings.
@@ -46,6 +49,29 @@ pub(super) enum Refused {
     Arguments(clap::Error, Option<PathBuf>),
     /// By the file.
     File(CliError),
+}
+
+impl Refused {
+    /// Whether something is wrong, and it is not help that was asked for.
+    pub(super) fn is_failure(&self) -> bool {
+        match self {
+            Self::Arguments(error, _) => error.use_stderr(),
+            Self::File(_) => true,
+        }
+    }
+}
+
+impl fmt::Display for Refused {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Arguments(error, file) => {
+                let words = error.to_string();
+                f.write_str(words.strip_prefix("error: ").unwrap_or(&words).trim_end())?;
+                file.iter().try_for_each(|file| write!(f, "\nSome of these are in {}.", file.display()))
+            }
+            Self::File(error) => error.fmt(f),
+        }
+    }
 }
 
 impl From<clap::Error> for Refused {
