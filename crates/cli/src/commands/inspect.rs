@@ -65,8 +65,16 @@ pub(super) fn run(args: &InspectArgs) -> Result<(), CliError> {
         }
         None => None,
     };
-    let inspection =
-        Inspection { cloud: &cloud, format: header.format, survey: &survey, strays, made, ratio: args.ratio };
+    let plan = Plan::of(&cloud.attributes, &Rules::default());
+    let inspection = Inspection {
+        cloud: &cloud,
+        format: header.format,
+        survey: &survey,
+        plan,
+        strays,
+        made,
+        ratio: args.ratio,
+    };
     let text = if args.json { format!("{:#}\n", inspection.json()) } else { inspection.text() };
     files::print(&text)
 }
@@ -75,6 +83,8 @@ struct Inspection<'a> {
     cloud: &'a Cloud,
     format: Format,
     survey: &'a Survey,
+    /// What would become of its attributes.
+    plan: Plan,
     /// Share of points further than [`FAR`] from the source.
     strays: Option<f64>,
     /// Provenance, a line each time that the cloud was upsampled.
@@ -111,6 +121,7 @@ impl Inspection<'_> {
     fn warnings(&self) -> Vec<String> {
         let mut warnings = self.cloud.warnings();
         warnings.extend(self.survey.warnings());
+        warnings.extend_from_slice(self.plan.warnings());
         warnings
     }
 
