@@ -18,6 +18,9 @@ mkdir -p "$seeds"
 for to in small.xyz small.csv small.las small.laz small.pcd small.npy small.e57; do
     "$program" upsample "$seeds/small.ply" "$seeds/$to" --ratio 1 --source-fields --normals estimate --quiet
 done
+printf 'X;Y;Z;GPS Time\n3,5;4;5;6\n1;2,5;3;7\n' > "$seeds/comma.csv"
+printf '2\n1 2 3 -5 9 8 7\n4 5 6 -6 9 8 7\n1\n7 8 9 -7 6 5 4\n' > "$seeds/two.xyz"
+printf 'sep=,\n"","Points:0","Points:1","Points:2","a, b"\n"1","2.5","3","","x"\n2,3,4,NA,"y ""z"""\n' > "$seeds/quoted.csv"
 printf 'OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n' > "$seeds/small.off"
 printf 'v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n' > "$seeds/small.obj"
 for target in $targets; do

@@ -1,6 +1,6 @@
 //! What all targets do with the bytes that the fuzzer makes.
 
-use densecloud_formats::{CloudReader, Limits, encode, read_mesh};
+use densecloud_formats::{CloudReader, Decimal, Limits, Reading, Separator, encode, read_mesh};
 
 /// Panics that the readers catch themselves, of libraries under them, are no findings.
 pub fn quiet() {
@@ -17,8 +17,36 @@ pub fn cloud(magic: &[u8], data: &[u8], mend: fn(&mut Vec<u8>)) {
     bytes.resize(bytes.len().max(magic.len()), 0);
     bytes[..magic.len()].copy_from_slice(magic);
     mend(&mut bytes);
-    let limits = Limits { max_points: Some(1 << 20), max_bytes: None };
-    let Ok(reader) = CloudReader::open(&bytes[..], limits) else { return };
+    read(&bytes, &Reading::default());
+}
+
+/// Reads text, in the way and the encoding that its last byte asks for, where this does not end a line.
+///
+/// # Panics
+/// As [`cloud`].
+pub fn text(data: &[u8]) {
+    let Some((&way, text)) = data.split_last().filter(|(last, _)| **last != b'\n') else {
+        return read(data, &Reading::default());
+    };
+    let separators = [Separator::Comma, Separator::Semicolon, Separator::Tab, Separator::Space, Separator::Bar];
+    let axes = ["1,2,3", "3,1,2", "x,y,z"];
+    let reading = Reading {
+        separator: separators.get(usize::from(way & 7)).copied(),
+        decimal: [None, Some(Decimal::Point), Some(Decimal::Comma), None][usize::from(way >> 3 & 3)],
+        axes: axes.get(usize::from(way >> 5 & 3)).and_then(|axes| axes.parse().ok()),
+        format: "text".parse().ok(),
+    };
+    if way < 128 {
+        return read(text, &reading);
+    }
+    let units = text.chunks(2).map(|pair| pair.iter().fold(0, |unit, byte| unit << 8 | u16::from(*byte)));
+    let units = std::iter::once(0xFEFF).chain(units);
+    read(&units.flat_map(u16::to_le_bytes).collect::<Vec<_>>(), &reading);
+}
+
+fn read(bytes: &[u8], reading: &Reading) {
+    let limits = Limits { max_points: Some(1 << 20), max_bytes: Some(1 << 22) };
+    let Ok(reader) = CloudReader::open_as(bytes, limits, reading) else { return };
     let format = reader.header().format.written();
     let Ok(cloud) = reader.read() else { return };
     let points = cloud.positions.len();

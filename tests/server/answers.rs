@@ -217,7 +217,7 @@ fn the_accept_header_chooses_the_format() {
         client.send(&body);
         client.reply()
     };
-    let csv = Format::Xyz { names: false, separator: Separator::Comma };
+    let csv = Format::text(Separator::Comma);
     for (accept, format) in
         [("text/csv", csv), ("text/html, */*;q=0.8", PLY), ("text/csv;q=0.1, model/ply", PLY)]
     {

@@ -30,6 +30,20 @@ impl TextColumn {
 
     /// Appends a field to the numbers so far; an empty one is a NaN.
     pub(super) fn push(&mut self, numbers: &mut Values, field: &[u8]) {
+        self.push_by(
+            numbers,
+            field,
+            |field| if field.is_empty() { Some(f64::NAN) } else { parse_f64(field) },
+        );
+    }
+
+    /// As [`push`](Self::push); `real` reads what is no whole number.
+    pub(super) fn push_by(
+        &mut self,
+        numbers: &mut Values,
+        field: &[u8],
+        real: impl FnOnce(&[u8]) -> Option<f64>,
+    ) {
         if let (Self::Whole { lowest, highest }, Values::I64(whole)) = (&mut *self, &mut *numbers) {
             if let Some(number) = std::str::from_utf8(field).ok().and_then(|f| f.parse::<i64>().ok()) {
                 (*lowest, *highest) = (number.min(*lowest), number.max(*highest));
@@ -39,9 +53,9 @@ impl TextColumn {
             *numbers = Values::F64(whole.iter().map(|&n| n as f64).collect());
             *self = Self::Real;
         }
-        if let (Self::Real, Values::F64(real)) = (&mut *self, &mut *numbers) {
-            match if field.is_empty() { Some(f64::NAN) } else { parse_f64(field) } {
-                Some(number) => real.push(number),
+        if let (Self::Real, Values::F64(reals)) = (&mut *self, &mut *numbers) {
+            match real(field) {
+                Some(number) => reals.push(number),
                 None => {
                     *numbers = Values::new(Kind::F64);
                     *self = Self::Text;
@@ -129,17 +143,4 @@ impl Guess {
             i += guessed.len();
         }
     }
-}
-
-/// Where the names `x`, `y` and `z` stand, if each stands once.
-pub(super) fn named_axes(names: &[String]) -> Option<[usize; 3]> {
-    let mut axes = [0; 3];
-    for (axis, wanted) in axes.iter_mut().zip(["x", "y", "z"]) {
-        let mut places = (0..names.len()).filter(|i| names[*i].eq_ignore_ascii_case(wanted));
-        *axis = places.next()?;
-        if places.next().is_some() {
-            return None;
-        }
-    }
-    Some(axes)
 }

@@ -296,6 +296,9 @@ fn by_content(head: &[u8]) -> Result<Found, FormatError> {
     if let Some(name) = known::name(head) {
         return Err(unknown(name));
     }
+    if head.len() >= 8 && (is_every_other(head, 0) || is_every_other(head, 1)) {
+        return Err(unknown("text in UTF-16 without a byte order mark; save it as UTF-8".to_owned()));
+    }
     if known::is_binary(head) {
         let (begin, names) = (shown(&head[..head.len().min(8)]), registry::unmarked().join(", "));
         return Err(unknown(format!(
@@ -303,4 +306,10 @@ fn by_content(head: &[u8]) -> Result<Found, FormatError> {
         )));
     }
     registry::by_lines(head).ok_or_else(|| unknown("text".to_owned()))
+}
+
+/// Whether every other byte, from this one on, is zero, and none between them: as letters and digits are in UTF-16.
+fn is_every_other(head: &[u8], from: usize) -> bool {
+    let (pairs, _) = head.as_chunks::<2>();
+    pairs.iter().take(64).all(|pair| pair[from] == 0 && pair[1 - from] != 0)
 }

@@ -13,10 +13,10 @@ use super::{Decimal, Separator};
 /// ```
 /// use densecloud_formats::{CloudReader, Limits, Reading};
 ///
-/// let text = "1 7.5 8 9\n2 7 8.5 9\n";
-/// let reading = Reading { format: Some("text".parse()?), ..Reading::default() };
+/// let text = "1;7,5;8;9\n2;7;8,5;9\n";
+/// let reading = Reading { axes: Some("2,3,4".parse()?), ..Reading::default() };
 /// let cloud = CloudReader::open_as(text.as_bytes(), Limits::default(), &reading)?.read()?;
-/// assert_eq!(cloud.positions[0], [1.0, 7.5, 8.0]);
+/// assert_eq!(cloud.positions, [[7.5, 8.0, 9.0], [7.0, 8.5, 9.0]]);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
@@ -168,7 +168,7 @@ impl FromStr for AxisColumns {
 
     fn from_str(text: &str) -> Result<Self, String> {
         let columns = split_quoted(text, ',').unwrap_or_default();
-        let columns: Vec<String> = columns.iter().map(|column| column.trim().to_owned()).collect();
+        let columns: Vec<String> = columns.iter().map(|(column, _)| column.trim().to_owned()).collect();
         match <[String; 3]>::try_from(columns) {
             Ok(columns) if columns.iter().all(|column| !column.is_empty()) => Ok(Self(columns)),
             _ => Err(format!("{text:?} is not three columns A,B,C: names, or numbers from 1")),

@@ -7,8 +7,8 @@ use std::path::Path;
 use super::kind::{Choices, Kind, Mark, Opened};
 use super::source::Source;
 use super::{
-    FormatError, Limits, PcdEncoding, PlyEncoding, Reading, Scalar, Separator, e57, kitti, las, npy, obj,
-    off, pcd, ply, ptx, xyz,
+    Decimal, FormatError, Limits, PcdEncoding, PlyEncoding, Reading, Scalar, Separator, e57, kitti, las, npy,
+    obj, off, pcd, ply, ptx, xyz,
 };
 
 /// Declares [`Format`] and the ways from it to the formats' modules.
@@ -100,6 +100,8 @@ formats! {
         names: bool,
         /// What stands between two numbers.
         separator: Separator,
+        /// What stands before the fraction of a number.
+        decimal: Decimal,
     }
 }
 

@@ -194,7 +194,6 @@ impl<'r> Source<'r> {
     }
 
     /// The number of the line last read, from 1.
-    #[expect(dead_code, reason = "the reader of text will ask")]
     pub(super) fn line_number(&self) -> u64 {
         self.line
     }

@@ -2,6 +2,7 @@
 
 mod blocks;
 mod broken;
+mod dialects;
 mod e57_files;
 mod findings;
 mod kitti_files;

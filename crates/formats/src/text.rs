@@ -64,24 +64,9 @@ pub(super) fn next_token<'a>(line: &mut &'a [u8]) -> Option<&'a [u8]> {
     Some(&rest[..to])
 }
 
-/// Cuts the next field from the front of `line`: white space separates, and so do one comma or one
-/// semicolon with any white space about it. Two commas in a row hold an empty field between them.
-pub(super) fn next_field<'a>(line: &mut &'a [u8]) -> Option<&'a [u8]> {
-    let from = line.iter().position(|b| !is_space(*b))?;
-    let rest = &line[from..];
-    let to = rest.iter().position(|b| is_space(*b) || is_comma(*b)).unwrap_or(rest.len());
-    let (field, after) = rest.split_at(to);
-    *line = match after.iter().position(|b| !is_space(*b)) {
-        Some(i) if is_comma(after[i]) => &after[i + 1..],
-        Some(i) => &after[i..],
-        None => &[],
-    };
-    Some(field)
-}
-
-/// The fields of a line as CSV has them: one in quotes may hold the separator, and quotes twice for each. None where quotes
-/// are not closed, or something stands behind them.
-pub(super) fn split_quoted(line: &str, separator: char) -> Option<Vec<String>> {
+/// The fields of a line as CSV has them, and whether each stands in quotes: these may hold the separator, and quotes twice
+/// for each. None where quotes are not closed, or something stands behind them.
+pub(super) fn split_quoted(line: &str, separator: char) -> Option<Vec<(String, bool)>> {
     let mut fields = Vec::new();
     let mut rest = line;
     loop {
@@ -89,11 +74,11 @@ pub(super) fn split_quoted(line: &str, separator: char) -> Option<Vec<String>> {
         let (field, after) = match begun.strip_prefix('"') {
             Some(quoted) => {
                 let (field, after) = closed(quoted)?;
-                (field, after.trim_start_matches(|c: char| c != separator && c.is_whitespace()))
+                ((field, true), after.trim_start_matches(|c: char| c != separator && c.is_whitespace()))
             }
             None => {
                 let end = rest.find(separator).unwrap_or(rest.len());
-                (rest[..end].to_owned(), &rest[end..])
+                ((rest[..end].to_owned(), false), &rest[end..])
             }
         };
         fields.push(field);
@@ -150,26 +135,22 @@ fn is_space(b: u8) -> bool {
     matches!(b, b' ' | b'\t' | b'\r' | b'\n' | 0x0B | 0x0C)
 }
 
-fn is_comma(b: u8) -> bool {
-    matches!(b, b',' | b';')
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn fields(mut line: &[u8]) -> Vec<String> {
-        std::iter::from_fn(|| next_field(&mut line).map(|f| String::from_utf8_lossy(f).into_owned()))
-            .collect()
-    }
-
     #[test]
-    fn fields_are_split_at_space_comma_and_semicolon() {
-        assert_eq!(fields(b"1 2\t3"), ["1", "2", "3"]);
-        assert_eq!(fields(b" 1, 2 ,3;4\r"), ["1", "2", "3", "4"]);
-        assert_eq!(fields(b"1,,3"), ["1", "", "3"]);
-        assert_eq!(fields(b"1,2,3,"), ["1", "2", "3"]);
-        assert_eq!(fields(b"  \r"), [""; 0]);
+    fn quotes_hold_a_field_together() {
+        let split = |line| split_quoted(line, ',');
+        let fields =
+            |fields: &[(&str, bool)]| Some(fields.iter().map(|(text, q)| ((*text).to_owned(), *q)).collect());
+        assert_eq!(split("a, b c ,"), fields(&[("a", false), (" b c ", false), ("", false)]));
+        assert_eq!(
+            split("\"a, b\" , \"say \"\"h\"\"\",c\"d"),
+            fields(&[("a, b", true), ("say \"h\"", true), ("c\"d", false)])
+        );
+        assert_eq!(split(""), fields(&[("", false)]));
+        assert_eq!((split("\"a"), split("\"a\"b,c")), (None, None));
     }
 
     #[test]

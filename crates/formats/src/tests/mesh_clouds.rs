@@ -52,7 +52,8 @@ fn vertices_of_obj_are_points() {
 
 #[test]
 fn text_is_not_taken_for_a_mesh() {
-    for text in ["v x y z\n1 2 3 4\n", "g r b\n1 2 3\n", "s x y z\n9 1 2 3\n", "vx vy vz\n1 2 3\n"] {
+    for text in ["v x y z\n1 2 3 4\n", "g r x y z\n1 2 3 4 5\n", "s x y z\n9 1 2 3\n", "vx x y z\n1 2 3 4\n"]
+    {
         assert!(matches!(format_of(text.as_bytes()), Format::Xyz { .. }), "{text}");
     }
     for (text, why) in [

@@ -127,7 +127,7 @@ fn extensions_tell_formats() {
     for name in ["a.xyz", "a.txt", "a.asc", "a.pts", "a.pwn"] {
         assert_eq!(of(name), Some(Format::TEXT));
     }
-    assert_eq!(of("a.CSV"), Some(Format::Xyz { names: false, separator: Separator::Comma }));
+    assert_eq!(of("a.CSV"), Some(Format::text(Separator::Comma)));
     assert_eq!(of("a.stl"), None);
     assert_eq!(of("ply"), None);
 }
@@ -188,7 +188,8 @@ fn attributes_in_text_come_back_with_their_names() {
         column("time", Values::F64(vec![0.1, f64::NAN, 1e300])),
     ];
     let cloud = Cloud { positions, attributes, ..Cloud::default() };
-    let bytes = write_all(&cloud, Format::Xyz { names: true, separator: Separator::Space });
+    let bytes =
+        write_all(&cloud, Format::Xyz { names: true, separator: Separator::Space, decimal: Decimal::Point });
     assert!(bytes.starts_with(b"x y z red a_b time\n1.0 2.0 3.0 0 -9223372036854775808 0.1\n"));
     let back = read(&bytes).expect("a cloud");
     assert_eq!(back.positions, cloud.positions);

@@ -30,7 +30,7 @@ fn columns_may_be_separated_in_many_ways() {
             _ if text.contains(';') => Separator::Semicolon,
             _ => Separator::Space,
         };
-        assert_eq!(header.format, Format::Xyz { names, separator });
+        assert_eq!(header.format, Format::Xyz { names, separator, decimal: Decimal::Point });
         assert!(header.dropped_properties.is_empty());
         assert_eq!(header.points, text.starts_with('2').then_some(2));
     }
@@ -44,7 +44,8 @@ fn other_columns_are_attributes() {
     let (header, positions) = xyz("easting,northing,height,class\n1,2,3,4\n");
     assert_eq!(header.attributes, ["class"]);
     assert_eq!(positions, [[1.0, 2.0, 3.0]]);
-    let text = "id;\"X\";\"Y\";\"Z\";class;time\n-7;1;2;3;wall;9007199254740993\n2.5;4;5;6;roof;1\n;7;8;9\n";
+    let text =
+        "id;\"X\";\"Y\";\"Z\";class;time\n-7;1;2;3;wall;9007199254740993\n2.5;4;5;6;roof;1\n;7;8;9;;\n";
     let cloud = read(text.as_bytes()).expect("a cloud");
     assert_eq!(cloud.positions[2], [7.0, 8.0, 9.0]);
     assert_eq!(cloud.dropped_properties, ["class (text)"]);
@@ -88,15 +89,12 @@ fn columns_that_begin_empty_or_have_no_name_are_columns() {
         let values = |a: &Attribute| (0..a.values.len()).map(|i| a.values.get(i)).collect();
         cloud.attributes.iter().map(|a| (a.name.clone(), values(a))).collect()
     };
-    // Empty in the first row, and missing from it.
-    for first in ["1,2,3,7,", "1,2,3,7"] {
-        let found = attributes(&format!("x,y,z,label,w\n{first}\n4,5,6,8,0.5\n"));
-        assert_eq!(found[0], ("label".to_owned(), vec![7.0, 8.0]));
-        assert_eq!((found[1].0.as_str(), found[1].1[1], found[1].1[0].is_nan()), ("w", 0.5, true));
-    }
+    let found = attributes("x,y,z,label,w\n1,2,3,7,\n4,5,6,8,0.5\n");
+    assert_eq!(found[0], ("label".to_owned(), vec![7.0, 8.0]));
+    assert_eq!((found[1].0.as_str(), found[1].1[1], found[1].1[0].is_nan()), ("w", 0.5, true));
     assert_eq!(
-        attributes("x,y,z,label\n1,2,3,7,0.5\n"),
-        [("label".to_owned(), vec![7.0]), ("column 5".to_owned(), vec![0.5])]
+        attributes(",x,y,,z\n1,2,3,7,4\n"),
+        [("index".to_owned(), vec![1.0]), ("column 4".to_owned(), vec![7.0])]
     );
     // Every line ends like this in some programs' files.
     assert_eq!(attributes("x,y,z,\n1,2,3,\n"), []);
@@ -107,24 +105,31 @@ fn columns_that_begin_empty_or_have_no_name_are_columns() {
 #[test]
 fn broken_lines_are_named() {
     for (text, what) in [
-        ("1 2 3\n1 two 3\n", "line 2: `two` is not a number"),
-        ("1 2 3\n\n1 2\n", "line 3: 2 columns where a point needs 3"),
-        ("1,,3,4\n", "line 1: `` is not a number"),
-        ("1 2 3\nx y z\n", "line 2: `x` is not a number"),
-        ("x y z\nx y z\n1 2 3\n", "line 2: `x` is not a number"),
+        ("1 2 3\n1 two 3\n", "line 2: column 2: `two` is not a number"),
+        ("1 two 3\n1 2 3\n", "line 1: column 2: `two` is not a number"),
+        ("x,y,z\n1,two,3\n1,2,3\n", "line 2: column 2: `two` is not a number"),
+        ("x,y,z\n1,2,3\n1,2,three\n", "line 3: column 3 (z): `three` is not a number"),
+        ("1 2 3\n\n1 2\n", "line 3: 2 columns where the first points have 3, separated by white space"),
+        ("1,2,3\n1 2 3\n", "line 2: 1 column where the first points have 3, separated by a comma"),
+        ("1 2 3\n1,2,3\n", "line 2: 1 column where the first points have 3, separated by white space"),
+        ("1,2,3\n1;2;3\n", "line 2: 1 column where the first points have 3, separated by a comma"),
+        ("x,y,z,w\n1,2,3,4\n1,2,3\n", "line 3: 3 columns where the first points have 4"),
+        ("1 2 3\nx y z\n", "line 2: column 1: `x` is not a number"),
+        ("x y z\nx y z\n1 2 3\nx y z\n", "line 4: column 1 (x): `x` is not a number"),
         ("5\n6\n1 2 3\n", "line 2: 1 column where"),
-        ("a,x,b,y,z\n1,2,3,4\n", "line 2: 4 columns where a point needs 5"),
-        ("{\n \"a\": 1\n}\n", "unknown format: JSON"),
         (
-            "a {\n b 1\n}\n",
-            "line 2: `b` is not a number, and `a {` before it does not name columns x, y and z",
+            "a,x,b,y,z\n1,2,3,4\n",
+            "line 2: line 1 has 5 names (a, x, b, y, z), and the points have 4 columns: a name for each is needed",
         ),
+        ("x,y,z,label\n1,2,3,7,0.5\n", "line 1 has 4 names (x, y, z, label), and the points have 5 columns"),
+        ("1 2 3\n1 2 3\n\"4 5 6\n", "line 3: quotes are opened and not closed"),
+        ("{\n \"a\": 1\n}\n", "unknown format: JSON"),
+        ("a {\n b 1\n}\n", "text without a line of numbers, which begins with `a {`"),
         ("hello\n", "text without a line of numbers, which begins with `hello`; convert it to PLY"),
-        ("x;y;z\n", "the file holds no points"),
-        ("3\n1 2 3\n", "the data end at line 2: the file counts 3 points, and 1 are there"),
-        ("1\n1 2 3\n4 5 6\n", "line 3: a point after the 1 that the file counts"),
+        ("x;y;z\n", "text without a line of numbers, which begins with `x;y;z`"),
+        ("1 2\n3 4\n", "line 1: 2 columns where a point needs 3"),
     ] {
-        let error = read(text.as_bytes()).expect_err("an error").to_string();
+        let error = read(text.as_bytes()).expect_err(text).to_string();
         assert!(error.contains(what), "{text:?}: {error}");
     }
     let wide = "1 ".repeat(1001);

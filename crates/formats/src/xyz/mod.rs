@@ -1,15 +1,23 @@
 //! Text with a point a line.
 
+mod dialect;
+mod fit;
+mod heading;
+mod layout;
 mod marks;
+mod names;
 mod read;
+mod sample;
 
 use std::fmt;
 
 use super::kind::{Choices, Kind, Mark, Opened, Rows};
-use super::numbers::{Storage, one_word, put_rows};
+use super::numbers::{Storage, put_rows};
+use super::reading::{AXES, DECIMAL, SEPARATOR};
 use super::source::Source;
 use super::{Format, FormatError, Limits, Reading, Scalar};
 use densecloud_cloud::{Attribute, Origin, Position};
+use names::Line;
 
 pub use marks::{Decimal, Separator};
 
@@ -18,17 +26,25 @@ pub use marks::{Decimal, Separator};
 pub(crate) struct Xyz {
     pub(crate) names: bool,
     pub(crate) separator: Separator,
+    pub(crate) decimal: Decimal,
 }
 
 impl Format {
     /// Text without names, with spaces.
-    pub const TEXT: Self = Self::Xyz { names: false, separator: Separator::Space };
+    pub const TEXT: Self = Self::text(Separator::Space);
+
+    /// Text without names, with decimal points.
+    #[must_use]
+    pub const fn text(separator: Separator) -> Self {
+        Self::Xyz { names: false, separator, decimal: Decimal::Point }
+    }
 }
 
 impl Kind for Xyz {
     /// Whatever is text, and nothing else.
     const MARK: Mark = Mark::Lines(|_| true);
     const NAMES: &'static [&'static str] = &["text"];
+    const HEEDS: &'static [&'static str] = &[AXES, SEPARATOR, DECIMAL];
     const BEGINNING: Option<&'static str> = None;
     const MEDIA_TYPES: &'static [&'static str] = &["text/plain", "text/csv"];
     const EXTENSIONS: &'static [&'static str] = &["xyz", "txt", "asc", "pts", "pwn", "csv"];
@@ -39,7 +55,7 @@ impl Kind for Xyz {
             "csv" => Separator::Comma,
             _ => return None,
         };
-        Some(Self { names: false, separator })
+        Some(Self { names: false, separator, decimal: Decimal::Point })
     }
 
     fn from_media_type(media_type: &str) -> Option<Self> {
@@ -50,28 +66,33 @@ impl Kind for Xyz {
         }
     }
 
-    fn open(source: &mut Source<'_>, limits: Limits, _reading: &Reading) -> Result<Opened, FormatError> {
-        let (points, header) = read::XyzPoints::open(source, limits)?;
+    fn open(source: &mut Source<'_>, limits: Limits, reading: &Reading) -> Result<Opened, FormatError> {
+        let (points, header) = read::XyzPoints::open(source, limits, reading)?;
         Ok(Opened { header, points: Box::new(points) })
     }
 }
 
 impl Choices for Xyz {
     fn media_type(&self) -> &'static str {
-        match self.separator {
-            Separator::Comma => "text/csv; charset=utf-8",
+        match (self.separator, self.decimal) {
+            // Where commas are decimal marks, semicolons separate what is called comma-separated.
+            (Separator::Comma, _) | (Separator::Semicolon, Decimal::Comma) => "text/csv; charset=utf-8",
             _ => "text/plain; charset=utf-8",
         }
     }
 
     fn of_result(&self, input: Format, names: bool) -> Format {
+        let Self { separator: wanted, .. } = *self;
         match input {
-            // `.xyz` says nothing of commas; `.csv` does.
-            Format::Xyz { names, separator } if self.separator == Separator::Space => {
-                Format::Xyz { names, separator }
+            // `.csv` says commas, and semicolons where these are decimal marks; `.xyz` says nothing of either.
+            Format::Xyz { names, decimal: Decimal::Comma, .. } if wanted == Separator::Comma => {
+                Format::Xyz { names, separator: Separator::Semicolon, decimal: Decimal::Comma }
             }
-            Format::Xyz { names, .. } => Format::Xyz { names, separator: self.separator },
-            _ => Format::Xyz { names, separator: self.separator },
+            Format::Xyz { names, separator, decimal } => {
+                let separator = if wanted == Separator::Space { separator } else { wanted };
+                Format::Xyz { names, separator, decimal }
+            }
+            _ => Format::Xyz { names, separator: wanted, decimal: self.decimal },
         }
     }
 
@@ -95,28 +116,41 @@ impl Choices for Xyz {
         &self,
         _points: u64,
         attributes: &[Attribute],
-        _origin: &Origin,
+        origin: &Origin,
     ) -> Result<(Vec<u8>, Box<dyn Rows>), FormatError> {
-        let header = if self.names { names_line(attributes, self.separator) } else { String::new() };
-        Ok((header.into_bytes(), Box::new(XyzRows(self.separator))))
+        let header =
+            if self.names { Line::of(attributes, origin, self.separator).text } else { String::new() };
+        Ok((header.into_bytes(), Box::new(XyzRows(*self))))
+    }
+
+    fn not_held(&self, attributes: &[Attribute], origin: &Origin) -> Vec<String> {
+        let mut lost = origin.extra.as_ref().map(|extra| extra.lost_elsewhere()).unwrap_or_default();
+        if self.names {
+            lost.extend(Line::of(attributes, origin, self.separator).changed);
+        }
+        lost
     }
 }
 
 impl fmt::Display for Xyz {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self.separator {
-            Separator::Comma => "text (commas)",
-            Separator::Semicolon => "text (semicolons)",
-            Separator::Space => "text",
-            Separator::Tab => "text (tabs)",
-            Separator::Bar => "text (vertical bars)",
+        f.write_str(match (self.separator, self.decimal) {
+            (Separator::Comma, _) => "text (commas)",
+            (Separator::Semicolon, Decimal::Point) => "text (semicolons)",
+            (Separator::Space, Decimal::Point) => "text",
+            (Separator::Tab, Decimal::Point) => "text (tabs)",
+            (Separator::Bar, Decimal::Point) => "text (vertical bars)",
+            (Separator::Semicolon, Decimal::Comma) => "text (semicolons, decimal commas)",
+            (Separator::Space, Decimal::Comma) => "text (decimal commas)",
+            (Separator::Tab, Decimal::Comma) => "text (tabs, decimal commas)",
+            (Separator::Bar, Decimal::Comma) => "text (vertical bars, decimal commas)",
         })
     }
 }
 
 /// Lines of numbers.
 #[derive(Debug)]
-struct XyzRows(Separator);
+struct XyzRows(Xyz);
 
 impl Rows for XyzRows {
     fn put(
@@ -126,13 +160,13 @@ impl Rows for XyzRows {
         attributes: &[Attribute],
         from: usize,
     ) -> Result<(), FormatError> {
-        put_rows(bytes, positions, attributes, from, Storage::Text(self.0.as_str()), Scalar::F64)
+        let Xyz { separator, decimal, .. } = self.0;
+        let begin = bytes.len();
+        put_rows(bytes, positions, attributes, from, Storage::Text(separator.as_str()), Scalar::F64)?;
+        if decimal == Decimal::Comma && separator != Separator::Comma {
+            // Nothing but numbers has points.
+            bytes[begin..].iter_mut().filter(|byte| **byte == b'.').for_each(|byte| *byte = b',');
+        }
+        Ok(())
     }
-}
-
-/// The line that names the columns of a text file.
-fn names_line(attributes: &[Attribute], separator: Separator) -> String {
-    let mut names = ["x", "y", "z"].map(str::to_owned).to_vec();
-    names.extend(attributes.iter().map(|a| one_word(&a.name)));
-    names.join(separator.as_str()) + "\n"
 }

@@ -1,158 +1,226 @@
 //! Reading lines of numbers.
 
-use super::super::columns::{Guess, MAX_COLUMNS, TextColumn, named_axes};
-use super::super::reader::{Block, Ending, Points};
-use super::super::source::Source;
-use super::super::text::{next_field, parse_f64, shown, strip_comment};
-use super::super::{Format, FormatError, Header, Limits};
-use super::Separator;
-use densecloud_cloud::{Kind, Position, Values};
+use std::borrow::Cow;
+use std::ops::Range;
 
-/// A text cloud, read up to its first point.
+use super::super::columns::{Guess, TextColumn};
+use super::super::reader::{Block, ColumnName, Ending, Points};
+use super::super::source::Source;
+use super::super::text::shown;
+use super::super::{Format, FormatError, Header, Limits, Place, Reading};
+use super::dialect::Dialect;
+use super::layout::{Layout, as_count, wrong_width};
+use super::sample::{Sample, is_blank, is_comment, without_end};
+use densecloud_cloud::{Extra, Kind, Values};
+
+/// The attribute that tells the clouds of a file apart, from 0.
+const SCAN: &str = "scan";
+
+/// A text cloud, whose first lines have decided how it is read ([`Layout`]). Every line that is not empty and no comment
+/// has as many fields as the first points, and numbers where these have them; whatever does not fit is an error. Where a
+/// line counts the points (`.pts`), another one begins another cloud.
 ///
-/// Columns are separated by white space, a comma or a semicolon; `#` and `//` begin comments; blank
-/// lines are skipped. A first line that does not begin with a number names the columns: if `x`, `y`
-/// and `z` are among the names, these columns are the position, and there are as many columns as names or more;
-/// else the first three are, and the names count where there are as many as columns. A line with
-/// one whole number before the first point counts the points (`.pts`). Every other column of the first
-/// point is an attribute; where nothing names them, three columns of bytes are `red`, `green` and
-/// `blue` (one before them `intensity`), and three that make unit vectors `nx`, `ny` and `nz`.
+/// Every column beside the coordinates is an attribute; where nothing names them, three columns of bytes are `red`,
+/// `green` and `blue` (one before them `intensity`), and three that make unit vectors `nx`, `ny` and `nz`.
 pub(super) struct XyzPoints {
-    columns: [usize; 3],
-    claimed: Option<u64>,
+    /// None where no line is a point.
+    layout: Option<Layout>,
+    /// What the file begins with, for the error that no line is a point.
+    begins: Option<String>,
+    sample: Sample,
     max_points: Option<u64>,
-    /// The first point, until it is given.
-    first: Option<Block>,
     /// Points read.
     count: u64,
     /// The other columns, and their places in a line.
     others: Vec<(usize, TextColumn)>,
     /// What they may be called, where nothing names them.
     guess: Guess,
-    names: Option<Vec<String>>,
-    /// The line before the points, where it has no number and does not name `x`, `y` and `z` either.
-    title: Option<String>,
+    clouds: Clouds,
+    /// The places of a line's fields.
+    fields: Vec<Range<usize>>,
+}
+
+/// The clouds of a file that counts their points.
+#[derive(Debug, Default)]
+struct Clouds {
+    /// The count of the last one, and the line where it stands.
+    counted: Option<(u64, u64)>,
+    /// Points before it.
+    before: u64,
+    /// Its number.
+    number: u16,
+    notes: Vec<String>,
+}
+
+/// Sentences that are told at most.
+const MOST_NOTES: usize = 20;
+
+impl Clouds {
+    /// The cloud ends here: whether its count was right.
+    fn end(&mut self, points: u64) {
+        let Some((line, count)) = self.counted else { return };
+        let found = points - self.before;
+        if found != count && self.notes.len() < MOST_NOTES {
+            self.notes.push(format!(
+                "line {line} counts {count} points, and {found} follow it; all of them are read"
+            ));
+        }
+    }
+
+    /// A line counts the points of another cloud.
+    fn next(&mut self, points: u64, line: u64, count: u64) -> Result<(), FormatError> {
+        // A count of nothing before the first points is no cloud.
+        if points > 0 {
+            self.end(points);
+            let why = || {
+                FormatError::malformed(
+                    Place::Line(line),
+                    format!("more than {} clouds in one file", u16::MAX),
+                )
+            };
+            self.number = self.number.checked_add(1).ok_or_else(why)?;
+        }
+        (self.counted, self.before) = (Some((line, count)), points);
+        Ok(())
+    }
 }
 
 impl XyzPoints {
-    /// Reads up to the first point.
-    pub(super) fn open(source: &mut Source<'_>, limits: Limits) -> Result<(Self, Header), FormatError> {
-        let mut reader = Self {
-            columns: [0, 1, 2],
-            claimed: None,
+    /// Reads the first lines.
+    pub(super) fn open(
+        source: &mut Source<'_>,
+        limits: Limits,
+        reading: &Reading,
+    ) -> Result<(Self, Header), FormatError> {
+        let mut sample = Sample::read(source)?;
+        let layout = Layout::of(&sample, reading)?;
+        let begins =
+            sample.lines().find(|line| !is_comment(&line.bytes)).map(|line| shown(line.bytes.trim_ascii()));
+        let mut points = Self {
+            layout: None,
+            begins,
+            sample: Sample::default(),
             max_points: limits.max_points,
-            first: None,
             count: 0,
             others: Vec::new(),
             guess: Guess::default(),
-            names: None,
-            title: None,
+            clouds: Clouds::default(),
+            fields: Vec::new(),
         };
-        let mut names: Option<Vec<String>> = None;
-        let mut width = 3;
-        let mut separator = Separator::Space;
-        while let Some(range) = source.next_line()? {
-            let line = strip_comment(source.bytes(range));
-            let mut rest = line;
-            let mut fields = Vec::new();
-            while let Some(field) = next_field(&mut rest) {
-                if fields.len() == MAX_COLUMNS {
-                    let why = format!("the line has more than {MAX_COLUMNS} columns");
-                    return Err(FormatError::malformed(source.line(), why));
-                }
-                fields.push(field);
-            }
-            let Some(first) = fields.first() else { continue };
-            if names.is_none() && parse_f64(first).is_none() {
-                let found: Vec<String> = fields.iter().map(|f| column_name(f)).collect();
-                match named_axes(&found) {
-                    Some(columns) => reader.columns = columns,
-                    None => reader.title = Some(shown(line.trim_ascii())),
-                }
-                names = Some(found);
-            } else if let (1, None, Some(count)) = (fields.len(), reader.claimed, as_count(first)) {
-                reader.claimed = Some(count);
-            } else {
-                // Behind the last separator there may be nothing, for a field that is empty.
-                width = match &names {
-                    Some(names) if reader.title.is_none() => names.len().max(fields.len()),
-                    _ => fields.len(),
-                };
-                separator = match line {
-                    _ if line.contains(&b',') => Separator::Comma,
-                    _ if line.contains(&b';') => Separator::Semicolon,
-                    _ => Separator::Space,
-                };
-                reader.others = (0..width)
-                    .filter(|i| !reader.columns.contains(i))
-                    .map(|i| (i, TextColumn::new()))
-                    .collect();
-                let mut block = reader.empty();
-                let first = row(reader.columns, &mut reader.others, source, line, &mut block.columns);
-                block.positions.push(first.map_err(|error| reader.no_table(error))?);
-                reader.first = Some(block);
-                break;
-            }
-        }
-        if let (Some(limit), Some(points)) = (limits.max_points, reader.claimed)
-            && points > limit
+        let Some(layout) = layout else {
+            let attributes = Vec::new();
+            let header =
+                Header { format: Format::TEXT, points: None, attributes, dropped_properties: Vec::new() };
+            return Ok((points, header));
+        };
+        sample.forget_before(layout.from);
+        points.sample = sample;
+        points.clouds.counted = layout.counted;
+        let claimed = layout.counted.map(|(_, count)| count);
+        if let (Some(limit), Some(claimed)) = (limits.max_points, claimed)
+            && claimed > limit
         {
-            return Err(FormatError::TooManyPoints { points, limit });
+            return Err(FormatError::TooManyPoints { points: claimed, limit });
         }
-        reader.names = names.filter(|n| reader.title.is_none() || n.len() == width);
+        let others = (0..layout.width).filter(|i| !layout.axes.contains(i));
+        points.others = others.map(|i| (i, TextColumn::new())).collect();
+        let Dialect { separator, decimal, .. } = layout.dialect;
         let header = Header {
-            format: Format::Xyz { names: reader.names.is_some(), separator },
-            points: reader.claimed,
-            attributes: reader.others.iter().map(|(i, _)| reader.name(*i)).collect(),
+            format: Format::Xyz { names: layout.names.is_some(), separator, decimal },
+            points: claimed,
+            attributes: points.others.iter().map(|(i, _)| name(&layout, *i)).collect(),
             dropped_properties: Vec::new(),
         };
-        Ok((reader, header))
-    }
-
-    /// A first point that is none, where the line before it speaks of no points either: likely a page, a log, or a
-    /// program's settings.
-    fn no_table(&self, error: FormatError) -> FormatError {
-        match (error, &self.title) {
-            (FormatError::Malformed { at, why }, Some(title)) => {
-                let why = format!("{why}, and {title} before it does not name columns x, y and z");
-                FormatError::Malformed { at, why }
-            }
-            (error, _) => error,
-        }
-    }
-
-    fn name(&self, column: usize) -> String {
-        let name = self.names.as_ref().and_then(|names| names.get(column));
-        name.cloned().unwrap_or_else(|| format!("column {}", column + 1))
+        points.layout = Some(layout);
+        Ok((points, header))
     }
 
     /// A block without rows.
-    fn empty(&self) -> Block {
-        let columns = self.others.iter().map(|(_, column)| column.empty()).collect();
+    fn empty(&self, layout: &Layout) -> Block {
+        let mut columns: Vec<Values> = self.others.iter().map(|(_, column)| column.empty()).collect();
+        if layout.counted.is_some() {
+            columns.push(Values::new(Kind::U16));
+        }
         Block { positions: Vec::new(), columns }
     }
 
     /// Whether nothing names the columns, and none is text.
-    fn is_guessed(&self) -> bool {
-        self.names.is_none() && self.others.iter().all(|(_, column)| *column != TextColumn::Text)
+    fn is_guessed(&self, layout: &Layout) -> bool {
+        layout.names.is_none() && self.others.iter().all(|(_, column)| *column != TextColumn::Text)
     }
 
     /// Reads the next line that is a point; false at the end.
-    fn next(&mut self, source: &mut Source<'_>, to: &mut Block) -> Result<bool, FormatError> {
-        let line = loop {
-            let Some(range) = source.next_line()? else { return Ok(false) };
-            let line = strip_comment(source.bytes(range));
-            if !line.iter().all(u8::is_ascii_whitespace) {
-                break line;
+    fn next(
+        &mut self,
+        layout: &Layout,
+        source: &mut Source<'_>,
+        to: &mut Block,
+    ) -> Result<bool, FormatError> {
+        loop {
+            let (number, line) = match self.sample.next() {
+                Some(line) => (line.number, Cow::Owned(line.bytes)),
+                None => match source.next_line()? {
+                    Some(range) => (source.line_number(), Cow::Borrowed(without_end(source.bytes(range)))),
+                    None => return Ok(false),
+                },
+            };
+            if is_blank(&line) || is_comment(&line) {
+                continue;
             }
-        };
-        if let Some(claimed) = self.claimed
-            && self.count >= claimed
-        {
-            let why = format!("a point after the {claimed} that the file counts");
-            return Err(FormatError::malformed(source.line(), why));
+            if self.row(layout, number, &line, to)? {
+                return Ok(true);
+            }
         }
-        to.positions.push(row(self.columns, &mut self.others, source, line, &mut to.columns)?);
+    }
+
+    /// Appends the point of a line; false where it counts those of another cloud.
+    fn row(
+        &mut self,
+        layout: &Layout,
+        number: u64,
+        line: &[u8],
+        to: &mut Block,
+    ) -> Result<bool, FormatError> {
+        let wrong = |why: String| FormatError::malformed(Place::Line(number), why);
+        let mut dialect = layout.dialect;
+        dialect.split(line, &mut self.fields).map_err(wrong)?;
+        self.drop_trailing(layout);
+        if self.fields.len() != layout.width || !dialect.quoted && line.contains(&b'"') {
+            if self.fields.len() == 1
+                && layout.counted.is_some()
+                && let Some(count) = as_count(line)
+            {
+                self.clouds.next(self.count, number, count)?;
+                return Ok(false);
+            }
+            // Quotes that the first lines have not.
+            dialect.quoted = true;
+            dialect.split(line, &mut self.fields).map_err(wrong)?;
+            self.drop_trailing(layout);
+            if self.fields.len() != layout.width {
+                return Err(wrong(wrong_width(self.fields.len(), layout.width, dialect, "the first points")));
+            }
+        }
+        let mut position = [0.0; 3];
+        for (coordinate, column) in position.iter_mut().zip(layout.axes) {
+            let field = &line[self.fields[column].clone()];
+            *coordinate =
+                dialect.number(field).ok_or_else(|| wrong(no_number(layout, dialect, column, field)))?;
+        }
+        for ((column, other), numbers) in self.others.iter_mut().zip(&mut to.columns) {
+            let field = &line[self.fields[*column].clone()];
+            let was_text = *other == TextColumn::Text;
+            other.push_by(numbers, field, |field| dialect.number(field));
+            if !was_text && *other == TextColumn::Text && dialect.is_foreign(field) {
+                return Err(wrong(no_number(layout, dialect, *column, field)));
+            }
+        }
+        if layout.counted.is_some()
+            && let Some(Values::U16(scans)) = to.columns.last_mut()
+        {
+            scans.push(self.clouds.number);
+        }
+        to.positions.push(position);
         self.count += 1;
         match self.max_points {
             Some(limit) if self.count > limit => {
@@ -161,93 +229,69 @@ impl XyzPoints {
             _ => Ok(true),
         }
     }
+
+    /// Where a separator ends each line, nothing behind it is no field.
+    fn drop_trailing(&mut self, layout: &Layout) {
+        if layout.trailing
+            && self.fields.len() == layout.width + 1
+            && self.fields.last().is_some_and(Range::is_empty)
+        {
+            self.fields.pop();
+        }
+    }
+}
+
+fn no_number(layout: &Layout, dialect: Dialect, column: usize, field: &[u8]) -> String {
+    let named = layout.names.as_ref().map(|names| format!(" ({})", names[column])).unwrap_or_default();
+    format!("column {}{named}: {}", column + 1, dialect.no_number(field))
+}
+
+fn name(layout: &Layout, column: usize) -> String {
+    let name = layout.names.as_ref().and_then(|names| names.get(column));
+    name.cloned().unwrap_or_else(|| format!("column {}", column + 1))
 }
 
 impl Points for XyzPoints {
     fn append(&mut self, source: &mut Source<'_>, rows: usize, to: &mut Block) -> Result<(), FormatError> {
+        let Some(layout) = self.layout.take() else {
+            let Some(begins) = &self.begins else { return Ok(()) };
+            let found = format!("text without a line of numbers, which begins with {begins}");
+            return Err(FormatError::Unrecognised { found });
+        };
         let from = to.positions.len();
-        match (self.first.take(), &self.title) {
-            // The first call.
-            (Some(first), _) => {
-                *to = first;
-                self.count = 1;
-            }
-            (None, Some(title)) if self.count == 0 => {
-                let found = format!("text without a line of numbers, which begins with {title}");
-                return Err(FormatError::Unrecognised { found });
-            }
-            (None, _) if to.columns.is_empty() => to.columns = self.empty().columns,
-            (None, _) => {}
+        if to.columns.is_empty() {
+            to.columns = self.empty(&layout).columns;
         }
-        while to.positions.len() - from < rows && self.next(source, to)? {}
-        if self.is_guessed() {
-            self.guess.see(&to.columns, from);
+        let mut more = Ok(true);
+        while to.positions.len() - from < rows && matches!(more, Ok(true)) {
+            more = self.next(&layout, source, to);
         }
-        Ok(())
+        if self.is_guessed(&layout) {
+            self.guess.see(&to.columns[..self.others.len()], from);
+        }
+        self.layout = Some(layout);
+        more.map(|_| ())
     }
 
-    fn finish(self: Box<Self>, source: &mut Source<'_>) -> Result<Ending, FormatError> {
-        if let Some(claimed) = self.claimed
-            && self.count != claimed
-        {
-            let why = format!("the file counts {claimed} points, and {} are there", self.count);
-            return Err(FormatError::truncated(source.line(), why));
-        }
-        let mut names: Vec<String> = self.others.iter().map(|(place, _)| self.name(*place)).collect();
-        if self.is_guessed() {
+    fn finish(mut self: Box<Self>, _source: &mut Source<'_>) -> Result<Ending, FormatError> {
+        self.clouds.end(self.count);
+        let Some(layout) = self.layout.take() else { return Ok(Ending::of_text(std::iter::empty())) };
+        let mut names: Vec<String> = self.others.iter().map(|(place, _)| name(&layout, *place)).collect();
+        if self.is_guessed(&layout) {
             self.guess.name(&mut names, |column| self.others[column].1.kind() == Some(Kind::U8));
         }
-        Ok(Ending::of_text(names.into_iter().zip(self.others.iter().map(|(_, column)| column))))
-    }
-}
-
-/// Returns the position in a line, and appends the other fields to their columns.
-fn row(
-    axes: [usize; 3],
-    others: &mut [(usize, TextColumn)],
-    source: &Source<'_>,
-    line: &[u8],
-    columns: &mut [Values],
-) -> Result<Position, FormatError> {
-    let mut position = [0.0; 3];
-    let mut rest = line;
-    let mut found = 0;
-    let mut others = others.iter_mut().zip(columns).peekable();
-    let mut column = 0;
-    while found < 3 || others.peek().is_some() {
-        let Some(field) = next_field(&mut rest) else {
-            if found == 3 {
-                break;
-            }
-            let why = format!(
-                "{column} column{} where a point needs {}",
-                if column == 1 { "" } else { "s" },
-                axes.iter().max().map_or(3, |c| c + 1)
-            );
-            return Err(FormatError::malformed(source.line(), why));
-        };
-        if let Some(axis) = axes.iter().position(|c| *c == column) {
-            position[axis] = parse_f64(field).ok_or_else(|| {
-                let why = format!("{} is not a number", shown(field));
-                FormatError::malformed(source.line(), why)
-            })?;
-            found += 1;
-        } else if let Some(((_, other), numbers)) = others.next_if(|((place, _), _)| *place == column) {
-            other.push(numbers, field);
+        let has_scan = self.clouds.number > 0 && !names.iter().any(|name| name == SCAN);
+        let mut ending = Ending::of_text(names.into_iter().zip(self.others.iter().map(|(_, column)| column)));
+        if layout.counted.is_some() {
+            ending.columns.push(has_scan.then(|| ColumnName { name: SCAN.to_owned(), kind: Kind::U16 }));
         }
-        column += 1;
+        if has_scan {
+            let clouds = u32::from(self.clouds.number) + 1;
+            self.clouds.notes.push(format!("the file has {clouds} clouds; `{SCAN}` numbers them from 0"));
+        }
+        ending.notes = layout.notes;
+        ending.notes.append(&mut self.clouds.notes);
+        ending.origin.extra = layout.style.map(Extra::new);
+        Ok(ending)
     }
-    // A shorter line than the first.
-    for ((_, other), numbers) in others {
-        other.push(numbers, b"");
-    }
-    Ok(position)
-}
-
-fn as_count(field: &[u8]) -> Option<u64> {
-    std::str::from_utf8(field).ok()?.parse().ok()
-}
-
-fn column_name(field: &[u8]) -> String {
-    String::from_utf8_lossy(field).trim_matches(['"', '\'']).to_owned()
 }

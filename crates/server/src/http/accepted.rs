@@ -49,7 +49,7 @@ mod tests {
 
     #[test]
     fn the_best_that_is_known_is_taken() {
-        let csv = Format::Xyz { names: false, separator: Separator::Comma };
+        let csv = Format::text(Separator::Comma);
         for (accept, wanted) in [
             ("*/*", None),
             ("", None),

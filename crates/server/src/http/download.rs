@@ -131,7 +131,7 @@ mod tests {
     use super::*;
     use crate::admission::budget::Budget;
     use densecloud_cloud::Values;
-    use densecloud_formats::{PcdEncoding, PlyEncoding, Scalar, Separator};
+    use densecloud_formats::{Decimal, PcdEncoding, PlyEncoding, Scalar, Separator};
 
     #[tokio::test]
     async fn the_body_is_what_one_writer_would_have_written_at_once() {
@@ -179,7 +179,7 @@ mod tests {
         ];
         for format in [
             Format::TEXT,
-            Format::Xyz { names: true, separator: Separator::Comma },
+            Format::Xyz { names: true, separator: Separator::Comma, decimal: Decimal::Point },
             Format::Ply { encoding: PlyEncoding::Ascii, scalar: Scalar::F64 },
             Format::Ply { encoding: PlyEncoding::BinaryBigEndian, scalar: Scalar::F64 },
             Format::Pcd { encoding: PcdEncoding::Ascii, scalar: Scalar::F64 },

@@ -140,7 +140,7 @@ mod tests {
 
     #[test]
     fn what_is_kept_of_a_request_means_the_same_and_is_short() {
-        let comma = Format::Xyz { names: false, separator: Separator::Comma };
+        let comma = Format::text(Separator::Comma);
         let formats = Format::MEDIA_TYPES.map(Format::from_media_type);
         for format in formats.into_iter().chain([None, Some(comma)]) {
             let asked = Options::parse(&[("ratio", "4"), ("attributes", "a&b:drop")]).expect("options");
@@ -161,6 +161,6 @@ mod tests {
         let kept = serde_json::json!({ "query": query, "accept": "image/png, text/csv;q=0.5" }).to_string();
         let options = options(&kept).expect("options");
         assert_eq!((options.cascade.seed, options.finish.sensor), (7, Some([1.0, 2.0, 3.0])));
-        assert_eq!(options.format, Some(Format::Xyz { names: false, separator: Separator::Comma }));
+        assert_eq!(options.format, Some(Format::text(Separator::Comma)));
     }
 }

@@ -1,0 +1,509 @@
+//! What the first lines of a file say of all: how they are cut, what the columns are called, where the points begin.
+
+use super::super::columns::MAX_COLUMNS;
+use super::super::reading::{AXES, DECIMAL, SEPARATOR};
+use super::super::text::shown;
+use super::super::{FormatError, Place, Reading};
+use super::dialect::Dialect;
+use super::fit::{Fit, best};
+use super::heading::{Heading, Style};
+use super::sample::{Line, Sample, is_comment};
+use super::{Decimal, Separator};
+
+/// How a file is read, decided once.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct Layout {
+    pub(super) dialect: Dialect,
+    /// Columns of each line.
+    pub(super) width: usize,
+    /// Whether a separator with nothing behind it ends each line.
+    pub(super) trailing: bool,
+    /// The columns of x, y and z.
+    pub(super) axes: [usize; 3],
+    /// The names of all columns, no two the same.
+    pub(super) names: Option<Vec<String>>,
+    /// How these names stand in the file.
+    pub(super) style: Option<Style>,
+    /// The line of the first point.
+    pub(super) from: u64,
+    /// The line before the points that counts them, and the count.
+    pub(super) counted: Option<(u64, u64)>,
+    /// What a person should know about it, a sentence each.
+    pub(super) notes: Vec<String>,
+}
+
+impl Layout {
+    /// Decides by the first lines, and by `reading` where it says more; none where no line holds a point.
+    ///
+    /// # Errors
+    /// The lines can be read in several ways, or do not go together.
+    pub(super) fn of(sample: &Sample, reading: &Reading) -> Result<Option<Self>, FormatError> {
+        let mut lines: Vec<&Line> = sample.lines().collect();
+        let told = lines.first().and_then(|line| told_separator(&line.bytes));
+        if told.is_some() {
+            lines.remove(0);
+        }
+        let separator = reading.separator.or(told);
+        if separator == Some(Separator::Comma) && reading.decimal == Some(Decimal::Comma) {
+            let why = format!("a comma cannot be both {SEPARATOR} and {DECIMAL}");
+            return Err(FormatError::malformed(Place::Line(1), why));
+        }
+        let Some(fit) = best(&lines, separator, reading.decimal) else {
+            return nothing(&lines).map(|()| None);
+        };
+        without_blanks(&lines, &fit)?;
+        let mut layout = Head::of(&lines, fit)?.layout(reading)?;
+        if layout.names.is_none() && separator.is_none() && reading.decimal.is_none() {
+            unambiguous(&lines, &layout)?;
+        }
+        layout.notes.dedup();
+        Ok(Some(layout))
+    }
+}
+
+/// The separator that a first line `sep=;` names, as spreadsheets read it.
+fn told_separator(line: &[u8]) -> Option<Separator> {
+    let text = std::str::from_utf8(line).ok()?.trim_matches(['"', ' ', '\r', '\u{feff}']);
+    let (word, separator) = text.split_at_checked(4)?;
+    if word.eq_ignore_ascii_case("sep=") { separator.parse().ok() } else { None }
+}
+
+/// Lines without a point: an error where they seem to be meant as points.
+fn nothing(lines: &[&Line]) -> Result<(), FormatError> {
+    for line in lines.iter().filter(|line| !is_comment(&line.bytes)) {
+        let begun = line.bytes.trim_ascii_start();
+        if begun.first().is_some_and(|b| b.is_ascii_digit() || b"-+.\"".contains(b))
+            && let Some(why) = no_point(&line.bytes, lines.len())
+        {
+            return Err(FormatError::malformed(Place::Line(line.number), why));
+        }
+    }
+    Ok(())
+}
+
+/// Why a line that begins like a number is no point, where that can be told.
+fn no_point(line: &[u8], lines: usize) -> Option<String> {
+    let mut places = Vec::new();
+    for separator in Separator::ALL {
+        let dialect = Dialect { separator, decimal: Decimal::Point, quoted: line.contains(&b'"') };
+        match dialect.split(line, &mut places) {
+            Err(why) if places.len() > MAX_COLUMNS => return Some(why),
+            Err(_) => continue,
+            Ok(()) => {}
+        }
+        let fields = || places.iter().map(|place| &line[place.clone()]);
+        let foreign = fields().position(|field| dialect.is_foreign(field));
+        if let Some(column) = foreign.filter(|_| fields().len() >= 3) {
+            return Some(format!(
+                "column {}: {}",
+                column + 1,
+                dialect.no_number(&line[places[column].clone()])
+            ));
+        }
+        let are_numbers = fields().all(|field| !field.is_empty() && dialect.number(field).is_some());
+        if are_numbers && lines > 1 {
+            let columns =
+                if places.len() == 1 { "1 column".to_owned() } else { format!("{} columns", places.len()) };
+            return Some(format!("{columns} where a point needs 3"));
+        }
+    }
+    None
+}
+
+/// What stands before the points.
+struct Head<'a> {
+    fit: Fit,
+    lines: &'a [&'a Line],
+    width: usize,
+    trailing: bool,
+    /// The lines that could name the columns: their place, and what they say.
+    headings: Vec<(usize, Heading)>,
+    /// One that could, but for the number of its names.
+    unfit: Option<(usize, Heading)>,
+    counted: Option<(u64, u64)>,
+    notes: Vec<String>,
+}
+
+impl<'a> Head<'a> {
+    fn of(lines: &'a [&'a Line], fit: Fit) -> Result<Self, FormatError> {
+        let (width, trailing) = width(lines, &fit);
+        if width < 3 {
+            let why = format!("{width} columns where a point needs 3");
+            return Err(FormatError::malformed(Place::Line(lines[fit.first].number), why));
+        }
+        let first = fit.first;
+        let mut head = Self {
+            fit,
+            lines,
+            width,
+            trailing,
+            headings: Vec::new(),
+            unfit: None,
+            counted: None,
+            notes: Vec::new(),
+        };
+        for (at, line) in lines[..first].iter().enumerate() {
+            if is_comment(&line.bytes) {
+                head.see_comment(at);
+            } else if let Some(count) = as_count(&line.bytes) {
+                head.see_count(line.number, count)?;
+            } else {
+                head.see_plain(at)?;
+            }
+        }
+        Ok(head)
+    }
+
+    fn see_comment(&mut self, at: usize) {
+        let all = Heading::all(&self.lines[at].bytes, self.fit.dialect.separator);
+        let names_axes = |heading: &Heading| !matches!(heading.axes(), Ok(None));
+        match Heading::fitting(all.clone(), self.width) {
+            Some(heading) if names_axes(&heading) => self.headings.push((at, heading)),
+            _ => {
+                if let Some(heading) = all.into_iter().find(names_axes) {
+                    self.unfit = Some((at, heading));
+                }
+            }
+        }
+    }
+
+    fn see_count(&mut self, line: u64, count: u64) -> Result<(), FormatError> {
+        if let Some((_, earlier @ 1..)) = self.counted {
+            let why = format!("1 column where a point needs 3, after a line that counts {earlier} points");
+            return Err(FormatError::malformed(Place::Line(line), why));
+        }
+        self.counted = Some((line, count));
+        Ok(())
+    }
+
+    fn see_plain(&mut self, at: usize) -> Result<(), FormatError> {
+        let (line, seen) = (self.lines[at], self.fit.lines[at]);
+        // A point with something wrong in it is no title.
+        if seen.begins && (seen.numbers >= 2 || seen.numbers == seen.fields || seen.fields == self.fit.width)
+        {
+            return Err(self.broken(at));
+        }
+        let all = Heading::all(&line.bytes, self.fit.dialect.separator);
+        // So is one that another separator cuts.
+        if all.iter().any(Heading::is_numbers) {
+            return Err(self.broken(at));
+        }
+        match Heading::fitting(all.clone(), self.width) {
+            Some(heading) => self.headings.push((at, heading)),
+            None => {
+                if let Some(heading) = all.into_iter().find(Heading::names_columns) {
+                    self.unfit = Some((at, heading));
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// What is wrong with a line that should be a point.
+    fn broken(&self, at: usize) -> FormatError {
+        let (line, dialect) = (self.lines[at], Dialect { quoted: true, ..self.fit.dialect });
+        let mut places = Vec::new();
+        let why = match dialect.split(&line.bytes, &mut places) {
+            Err(why) => why,
+            Ok(()) if places.len() != self.fit.width => {
+                wrong_width(places.len(), self.fit.width, dialect, "the points")
+            }
+            Ok(()) => {
+                let wrong =
+                    places.iter().position(|place| dialect.number(&line.bytes[place.clone()]).is_none());
+                let column = wrong.unwrap_or(0);
+                format!("column {}: {}", column + 1, dialect.no_number(&line.bytes[places[column].clone()]))
+            }
+        };
+        FormatError::malformed(Place::Line(line.number), why)
+    }
+
+    /// The names, the coordinates among them, and the first point.
+    fn layout(mut self, reading: &Reading) -> Result<Layout, FormatError> {
+        let named = self.headings.iter().rposition(|(_, heading)| !matches!(heading.axes(), Ok(None)));
+        let chosen = named.or(self.headings.len().checked_sub(1)).map(|at| self.headings.swap_remove(at));
+        let (axes, heading) = match chosen {
+            Some((at, heading)) => (self.named_axes(at, &heading, reading)?, Some((at, heading))),
+            None => (self.unnamed_axes(reading)?, None),
+        };
+        let (axes, from) = self.first_point(axes, heading.as_ref().map(|(at, _)| *at), reading)?;
+        let style = heading.as_ref().map(|(_, heading)| Style {
+            prefix: heading.prefix.clone(),
+            quoted: heading.quoted,
+            axes: axes.map(|axis| heading.names[axis].clone()),
+        });
+        let names = heading.map(|(_, mut heading)| {
+            self.notes.extend(heading.mend());
+            heading.names
+        });
+        Ok(Layout {
+            dialect: self.fit.dialect,
+            width: self.width,
+            trailing: self.trailing,
+            axes,
+            names,
+            style,
+            from,
+            counted: self.counted,
+            notes: self.notes,
+        })
+    }
+
+    fn named_axes(
+        &mut self,
+        at: usize,
+        heading: &Heading,
+        reading: &Reading,
+    ) -> Result<[usize; 3], FormatError> {
+        let number = self.lines[at].number;
+        let wrong = |why: String| FormatError::malformed(Place::Line(number), why);
+        if let Some(axes) = &reading.axes {
+            return axes.places(&heading.names, self.width).map_err(wrong);
+        }
+        let names = heading.names.join(", ");
+        match heading.axes() {
+            Ok(Some(axes)) => {
+                if axes.geographic {
+                    self.notes.push(
+                        "x and y are longitude and latitude: degrees are no metres, and of different lengths along each \
+                         axis; project the cloud to a metric coordinate system first"
+                            .to_owned(),
+                    );
+                }
+                Ok(axes.columns)
+            }
+            Ok(None) => Err(wrong(format!(
+                "none of the names {names} says which columns are x, y and z; say it: {AXES} A,B,C (names, or numbers from 1)"
+            ))),
+            Err(why) => Err(wrong(format!(
+                "of the names {names}, {why}; say which: {AXES} A,B,C (names, or numbers from 1)"
+            ))),
+        }
+    }
+
+    fn unnamed_axes(&mut self, reading: &Reading) -> Result<[usize; 3], FormatError> {
+        let mut mismatch = None;
+        if let Some((at, heading)) = &self.unfit {
+            let (number, names) = (self.lines[*at].number, &heading.names);
+            let found = format!(
+                "line {number} has {} names ({}), and the points have {} columns",
+                names.len(),
+                names.join(", "),
+                self.width
+            );
+            let first_three = matches!(heading.axes(), Ok(Some(axes)) if axes.columns == [0, 1, 2]);
+            if reading.axes.is_some() || first_three && is_comment(&self.lines[*at].bytes) {
+                self.notes.push(format!("{found}; the names are left aside"));
+            } else {
+                mismatch = Some(format!(
+                    "{found}: a name for each is needed, or none (separated by {}: {SEPARATOR}); with {AXES} A,B,C, numbers \
+                     from 1, the names are left aside",
+                    self.fit.dialect.separator.shown()
+                ));
+            }
+        }
+        let at = Place::Line(self.lines[self.fit.first].number);
+        if let Some(why) = mismatch {
+            return Err(FormatError::malformed(at, why));
+        }
+        match &reading.axes {
+            Some(axes) => axes.places(&[], self.width).map_err(|why| FormatError::malformed(at, why)),
+            None => Ok([0, 1, 2]),
+        }
+    }
+
+    /// The line of the first point, and the axes: where the columns are but counted, in pandas' way, these numbers are no
+    /// point.
+    fn first_point(
+        &mut self,
+        axes: [usize; 3],
+        heading: Option<usize>,
+        reading: &Reading,
+    ) -> Result<([usize; 3], u64), FormatError> {
+        let mut from = self.fit.first;
+        // Points of which nothing is known may stand before the first with numbers.
+        let after = heading.map_or(0, |at| at + 1);
+        while from > after && self.is_unknown(from - 1, axes, heading.is_some()) {
+            from -= 1;
+        }
+        for at in after..from {
+            let (line, seen) = (self.lines[at], self.fit.lines[at]);
+            if heading.is_none() || is_comment(&line.bytes) || as_count(&line.bytes).is_some() {
+                continue;
+            }
+            if seen.numbers > 0 {
+                return Err(self.broken(at));
+            }
+            self.notes.push(format!("line {} is not taken for a point: {}", line.number, shown(&line.bytes)));
+        }
+        if let (None, Some(skipped)) = (heading, self.counted_columns(from)) {
+            self.notes.push(format!(
+                "line {} counts the columns, as pandas does where they have no names; it is not taken for a point",
+                self.lines[from].number
+            ));
+            let axes = if reading.axes.is_some() { axes } else { axes.map(|axis| axis + skipped) };
+            return Ok((axes, self.lines[from + 1].number));
+        }
+        Ok((axes, self.lines[from].number))
+    }
+
+    /// Whether a line is a point of which coordinates are not known: nothing stands there, or, under names, numbers in part.
+    fn is_unknown(&self, at: usize, axes: [usize; 3], is_named: bool) -> bool {
+        let (line, seen) = (self.lines[at], self.fit.lines[at]);
+        let dialect = Dialect { quoted: true, ..self.fit.dialect };
+        let mut places = Vec::new();
+        seen.fields == self.fit.width
+            && (seen.is_void()
+                || is_named
+                    && dialect.split(&line.bytes, &mut places).is_ok()
+                    && axes.iter().all(|axis| dialect.number(&line.bytes[places[*axis].clone()]).is_some()))
+    }
+
+    /// Whether a line numbers the columns from 0, while other points are no whole numbers; and whether the first, an index,
+    /// has no number: 1 then, else 0.
+    fn counted_columns(&self, at: usize) -> Option<usize> {
+        let dialect = Dialect { quoted: true, ..self.fit.dialect };
+        let mut places = Vec::new();
+        dialect.split(&self.lines[at].bytes, &mut places).ok()?;
+        let mut fields = places.iter().map(|place| &self.lines[at].bytes[place.clone()]).peekable();
+        let skipped = usize::from(fields.next_if(|field| field.is_empty()).is_some());
+        let counts = fields.enumerate().all(|(i, field)| field == i.to_string().as_bytes());
+        let is_fraction = |field: &[u8]| field.contains(&b'.') || field.contains(&b',');
+        let others_are_fractions = self.lines.get(at + 1).is_some_and(|next| {
+            dialect.split(&next.bytes, &mut places).is_ok()
+                && places.iter().skip(skipped).take(3).any(|place| is_fraction(&next.bytes[place.clone()]))
+        });
+        (counts && others_are_fractions && self.width >= 3 + skipped).then_some(skipped)
+    }
+}
+
+/// The columns of the points, and whether a separator with nothing behind it ends each line.
+fn width(lines: &[&Line], fit: &Fit) -> (usize, bool) {
+    let dialect = Dialect { quoted: true, ..fit.dialect };
+    let mut places = Vec::new();
+    let mut ends_empty = |line: &Line| {
+        dialect.split(&line.bytes, &mut places).is_ok() && places.last().is_some_and(|last| last.is_empty())
+    };
+    let points = lines.iter().zip(&fit.lines).skip(fit.first).filter(|(_, seen)| seen.fields == fit.width);
+    let trailing =
+        dialect.separator != Separator::Space && points.into_iter().all(|(line, _)| ends_empty(line));
+    // A column that has a name, and nothing in it as far as is known, is one.
+    let is_named = || {
+        lines[..fit.first].iter().any(|line| {
+            let all = Heading::all(&line.bytes, dialect.separator);
+            let heading = all.into_iter().find(|heading| heading.names.len() == fit.width);
+            heading.is_some_and(|h| h.names.last().is_some_and(|name| !name.is_empty()) && h.names_columns())
+        })
+    };
+    if trailing && !is_named() { (fit.width - 1, true) } else { (fit.width, false) }
+}
+
+/// The count that a line holds alone.
+pub(super) fn as_count(line: &[u8]) -> Option<u64> {
+    let text = std::str::from_utf8(line).ok()?.trim();
+    if text.bytes().all(|b| b.is_ascii_digit()) { text.parse().ok() } else { None }
+}
+
+/// Why a line of another number of fields is no point.
+pub(super) fn wrong_width(found: usize, width: usize, dialect: Dialect, whose: &str) -> String {
+    let columns = if found == 1 { "1 column".to_owned() } else { format!("{found} columns") };
+    format!("{columns} where {whose} have {width}, separated by {} ({SEPARATOR})", dialect.separator.shown())
+}
+
+/// Refuses blanks within numbers, between tabs: where white space separates, they would be columns.
+fn without_blanks(lines: &[&Line], fit: &Fit) -> Result<(), FormatError> {
+    let line = lines[fit.first];
+    if fit.dialect.separator != Separator::Space || !line.bytes.contains(&b'\t') {
+        return Ok(());
+    }
+    for (column, field) in line.bytes.split(|b| *b == b'\t').map(<[u8]>::trim_ascii).enumerate() {
+        if field.contains(&b' ') && fit.dialect.is_foreign(field) {
+            let why = format!("column {}: {}", column + 1, fit.dialect.no_number(field));
+            return Err(FormatError::malformed(Place::Line(line.number), why));
+        }
+    }
+    Ok(())
+}
+
+/// Refuses numbers without names that may have been cut at a comma, or a blank, of their own.
+fn unambiguous(lines: &[&Line], layout: &Layout) -> Result<(), FormatError> {
+    let dialect = layout.dialect;
+    if dialect.quoted || !matches!(dialect.separator, Separator::Comma | Separator::Space) {
+        return Ok(());
+    }
+    let mut pairs = Pairs::default();
+    let mut places = Vec::new();
+    for line in lines.iter().filter(|line| line.number >= layout.from && !is_comment(&line.bytes)) {
+        if dialect.split(&line.bytes, &mut places).is_err() || places.len() < layout.width {
+            continue;
+        }
+        let fields: Vec<&[u8]> =
+            places[..layout.width].iter().map(|place| &line.bytes[place.clone()]).collect();
+        if let Some(column) = padded(&fields, dialect.separator) {
+            let why = format!(
+                "column {}: {} begins with a zero, as the rest of a number does that was cut in two; are the marks before it \
+                 decimal marks or separators of thousands? Neither is read here; if each of them separates columns, say \
+                 {SEPARATOR} {}",
+                column + 1,
+                shown(fields[column]),
+                dialect.separator
+            );
+            return Err(FormatError::malformed(Place::Line(line.number), why));
+        }
+        pairs.see(&fields);
+    }
+    if dialect.separator == Separator::Comma && pairs.are_all() {
+        let why = format!(
+            "{} columns of whole numbers, each second of the same length: do commas stand for decimal marks? These are read \
+             where a semicolon, a tab or blanks separate; if each comma separates columns, say {SEPARATOR} comma",
+            layout.width
+        );
+        return Err(FormatError::malformed(Place::Line(layout.from), why));
+    }
+    Ok(())
+}
+
+fn is_whole(field: &[u8]) -> bool {
+    !field.is_empty() && field.iter().all(u8::is_ascii_digit)
+}
+
+/// The first field that looks like the end of the number before it: `042` after `21`.
+fn padded(fields: &[&[u8]], separator: Separator) -> Option<usize> {
+    (1..fields.len()).find(|i| {
+        let before = fields[i - 1].strip_prefix(b"-").unwrap_or(fields[i - 1]);
+        let field = fields[*i];
+        let whole = field.split(|b| *b == b'.').next().unwrap_or_default();
+        // Behind a decimal comma is any number of digits, between thousands there are three.
+        let cut = whole.len() == 3 || separator == Separator::Comma && whole.len() == field.len();
+        is_whole(before) && is_whole(whole) && whole.len() > 1 && whole[0] == b'0' && cut
+    })
+}
+
+/// Whether all fields are whole numbers in pairs, of which the second could be a fraction.
+#[derive(Debug, Default)]
+struct Pairs {
+    rows: usize,
+    /// Digits of each second field, if always the same.
+    digits: Option<usize>,
+    broken: bool,
+}
+
+impl Pairs {
+    fn see(&mut self, fields: &[&[u8]]) {
+        self.rows += 1;
+        let is_pair = |pair: &[&[u8]]| match pair {
+            [whole, fraction] => is_whole(whole.strip_prefix(b"-").unwrap_or(whole)) && is_whole(fraction),
+            _ => false,
+        };
+        let least = if fields.len() == 4 { 3 } else { 2 };
+        self.broken = self.broken || !fields.chunks(2).all(is_pair);
+        for fraction in fields.iter().skip(1).step_by(2) {
+            let digits = *self.digits.get_or_insert(fraction.len());
+            self.broken = self.broken || digits != fraction.len() || digits < least;
+        }
+    }
+
+    fn are_all(&self) -> bool {
+        self.rows > 0 && !self.broken
+    }
+}
