@@ -69,7 +69,7 @@ fn numbers_that_a_program_has_as_floats_stay_those_of_a_point() {
 fn colours_that_a_flag_calls_absent_have_no_weight_in_e57_and_elsewhere() {
     let folder = tempfile::tempdir().expect("a folder");
     let text = ply("uchar", &["red", "green", "blue", "color_invalid"], |i, _| {
-        if i % 3 == 0 { vec![0.0, 0.0, 0.0, 1.0] } else { vec![200.0, 100.0, 50.0, 0.0] }
+        if i.is_multiple_of(3) { vec![0.0, 0.0, 0.0, 1.0] } else { vec![200.0, 100.0, 50.0, 0.0] }
     });
     std::fs::write(folder.path().join("in.ply"), text).expect("written");
     dense(folder.path(), "in.ply", "in.e57", &["--ratio", "1", "--keep-input"]);
@@ -100,7 +100,7 @@ fn rotations_of_gaussian_splats_stay_rotations() {
         "f_dc_0", "f_rest_0", "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3",
     ];
     let text = ply("float", &names, |i, [x, y, _]| {
-        let sign = if i * 7 % 3 == 0 { -1.0 } else { 1.0 };
+        let sign = if (i * 7).is_multiple_of(3) { -1.0 } else { 1.0 };
         let angle = 0.3 * x;
         let rotation = [angle.cos(), 0.0, angle.sin(), 0.0].map(|c| sign * c);
         [vec![0.5 * x, -0.25, 2.0, -3.0 - y, -4.0, -5.0], rotation.to_vec()].concat()
@@ -117,8 +117,9 @@ fn rotations_of_gaussian_splats_stay_rotations() {
     }
     assert!(!told.contains("rotation"), "{told}");
     // Without its last part it is none.
-    let text =
-        ply("float", &names[6..9], |i, _| if i % 2 == 0 { vec![1.0, 0.0, 0.0] } else { vec![0.0, 0.6, 0.8] });
+    let text = ply("float", &names[6..9], |i, _| {
+        if i.is_multiple_of(2) { vec![1.0, 0.0, 0.0] } else { vec![0.0, 0.6, 0.8] }
+    });
     std::fs::write(folder.path().join("part.ply"), text).expect("written");
     let (rows, told) = dense(folder.path(), "part.ply", "out.ply", &["--ratio", "2"]);
     assert!(told.contains("not a whole rotation: rot_0, rot_1, rot_2"), "{told}");

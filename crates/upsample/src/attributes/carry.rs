@@ -217,13 +217,13 @@ mod tests {
         let dense = between(11);
         let carried = run(&source, &dense, "");
         let mut absent_ones = 0;
-        for i in 0..dense.len() {
+        for (i, p) in dense.iter().enumerate() {
             let colour: Vec<f64> = (0..3).map(|a| carried[a].values.get(i)).collect();
             match carried[3].values.get(i) {
-                0.0 => assert_eq!(colour, [200.0, 100.0, 50.0], "{:?}", dense[i]),
+                0.0 => assert_eq!(colour, [200.0, 100.0, 50.0], "{p:?}"),
                 flag => {
                     assert_eq!((flag, colour), (1.0, vec![0.0; 3]));
-                    assert!(dense[i][0] > 5e5 + 7.0 && dense[i][1] > 4e6 + 7.0, "{:?}", dense[i]);
+                    assert!(p[0] > 5e5 + 7.0 && p[1] > 4e6 + 7.0, "{p:?}");
                     absent_ones += 1;
                 }
             }
@@ -289,7 +289,7 @@ mod tests {
         // A turn about z that grows from left to right.
         let angle = |p: &Position| (p[0] - 5e5) * 0.05;
         let part = |of: &dyn Fn(f64) -> f64| {
-            let sign = |i: usize| if (i * 7 % 3) == 0 { -1.0 } else { 1.0 };
+            let sign = |i: usize| if (i * 7).is_multiple_of(3) { -1.0 } else { 1.0 };
             Values::F32(positions.iter().enumerate().map(|(i, p)| (sign(i) * of(angle(p))) as f32).collect())
         };
         let zero = || Values::F32(vec![0.0; 100]);

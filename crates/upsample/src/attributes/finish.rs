@@ -148,10 +148,6 @@ fn normals(
     let mut normals = estimate_normals(&points, NORMAL_NEIGHBOURS);
     drop(points);
     let there = normal_of(attributes);
-    if there.is_none() {
-        // Parts of what was left out otherwise.
-        attributes.retain(|a| !["nx", "ny", "nz"].contains(&a.name.as_str()));
-    }
     for (i, normal) in normals.iter_mut().enumerate() {
         let side: [f64; 3] = match (there, stood.at(attributes, i)) {
             (Some(axes), _) => axes.map(|a| attributes[a].values.get(i)),
@@ -161,6 +157,10 @@ fn normals(
         if (0..3).map(|a| side[a] * f64::from(normal[a])).sum::<f64>() < 0.0 {
             *normal = normal.map(|c| -c);
         }
+    }
+    if there.is_none() {
+        // Parts of a normal that is not whole.
+        attributes.retain(|a| !["nx", "ny", "nz"].contains(&a.name.as_str()));
     }
     for (a, name) in ["nx", "ny", "nz"].into_iter().enumerate() {
         let axis = normals.iter().map(|n| f64::from(n[a]));
@@ -298,5 +298,25 @@ mod tests {
             let d = [p[0] - 4e5, p[1] - 5e6, p[2] - 100.0];
             assert!((0..3).map(|a| d[a] * attributes[1 + a].values.get(i)).sum::<f64>() < 0.0);
         }
+    }
+
+    #[test]
+    fn estimated_normals_take_the_place_of_parts() {
+        let dense = sphere(500, 5, false);
+        let mut source = sphere(300, 6, true);
+        source.attributes.retain(|a| a.name != "ny");
+        source.attributes.push(Attribute { name: "scan".into(), values: Values::U8(vec![0; 300]) });
+        let centre = Some([4e5, 5e6, 100.0]);
+        source.origin.sensors =
+            Some(std::sync::Arc::new(Sensors { attribute: "scan".into(), places: vec![centre] }));
+        let how = Finish { estimate_normals: true, ..Finish::default() };
+        let (positions, attributes) = run(&source, &dense, &how);
+        let names: Vec<&str> = attributes.iter().map(|a| a.name.as_str()).collect();
+        assert_eq!(names, ["id", "scan", "nx", "ny", "nz"]);
+        let inwards = positions.iter().enumerate().filter(|(i, p)| {
+            (0..3).map(|a| (p[a] - [4e5, 5e6, 100.0][a]) * attributes[2 + a].values.get(*i)).sum::<f64>()
+                < -0.9
+        });
+        assert!(inwards.count() > 490, "towards the sensor in the middle");
     }
 }
