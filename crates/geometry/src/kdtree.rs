@@ -103,10 +103,21 @@ impl KdTree {
     /// Above [`MAX_POINTS`](crate::MAX_POINTS).
     #[must_use]
     pub fn in_order(points: &[Point]) -> (Self, Vec<Point>) {
+        let (tree, sorted, _) = Self::sorted(points);
+        (tree, sorted)
+    }
+
+    /// As [`Self::in_order`], with the index that each of the points had.
+    ///
+    /// # Panics
+    /// Above [`MAX_POINTS`](crate::MAX_POINTS).
+    #[must_use]
+    pub fn sorted(points: &[Point]) -> (Self, Vec<Point>, Vec<u32>) {
         let mut tree = Self::new(points);
         let sorted = tree.order.iter().map(|&i| points[i as usize]).collect();
-        tree.order = indices(tree.order.len()).collect();
-        (tree, sorted)
+        let in_order = indices(tree.order.len()).collect();
+        let order = std::mem::replace(&mut tree.order, in_order);
+        (tree, sorted, order)
     }
 
     /// Number of points.

@@ -11,7 +11,7 @@
 
 use rayon::prelude::*;
 
-use super::{Item, Key, Tree};
+use super::{Item, Key, Node, Tree};
 use crate::kdtree::squared;
 use densecloud_cloud::Point;
 
@@ -23,12 +23,12 @@ const TURN: f32 = 0.9;
 /// Which blocks lie beside each other is found anew when the largest squared radius has fallen to this share.
 const ANEW: f32 = 0.5;
 
-/// As [`super::farthest_point_sampling`], by blocks of at most `size` points.
-pub(super) fn sample(points: &[Point], count: usize, first: u32, size: usize) -> Vec<u32> {
+/// As [`super::sample`], by blocks of at most `size` points.
+pub(super) fn sample(points: &[Point], weights: &[f32], count: usize, first: u32, size: usize) -> Vec<u32> {
     let mut items: Vec<Item> = points.iter().copied().zip(0..).collect();
     let mut cells = Vec::new();
     split(&mut items, size, &mut cells);
-    let trees: Vec<Tree> = cells.into_par_iter().map(Tree::over).collect();
+    let trees: Vec<Tree> = cells.into_par_iter().map(|cell| Tree::over(cell, weights)).collect();
     drop(items);
     let mut blocks =
         Blocks { beside: vec![Vec::new(); trees.len()], trees: trees.into_iter().map(Some).collect() };
@@ -57,7 +57,7 @@ pub(super) fn sample(points: &[Point], count: usize, first: u32, size: usize) ->
             colours = blocks.meet(adjacent_for);
         }
         for colour in &colours {
-            later.extend(blocks.turn(colour, top.distance(), points));
+            later.extend(blocks.turn(colour, top.distance(), points, weights));
         }
     }
     let missing = count - chosen.len();
@@ -106,11 +106,10 @@ impl Blocks {
     /// Finds which blocks are nearer to each other than the root of `radius_squared`, and gives each a
     /// colour that none beside it has: the blocks of each colour.
     fn meet(&mut self, radius_squared: f32) -> Vec<Vec<usize>> {
-        let boxes: Vec<(Point, Point)> =
-            self.trees.iter().flatten().map(|t| (t.nodes[0].lo, t.nodes[0].hi)).collect();
-        let near = |(lo, hi): &(Point, Point), (other_lo, other_hi): &(Point, Point)| {
-            squared(std::array::from_fn(|a| (lo[a] - other_hi[a]).max(other_lo[a] - hi[a]).max(0.0)))
-                <= radius_squared
+        let boxes: Vec<Node> = self.trees.iter().flatten().map(|tree| tree.nodes[0]).collect();
+        let near = |here: &Node, other: &Node| {
+            let gap = |a: usize| (here.lo[a] - other.hi[a]).max(other.lo[a] - here.hi[a]).max(0.0);
+            squared(std::array::from_fn(gap)) * here.lightest.min(other.lightest) <= radius_squared
         };
         let beside = |i: usize| (0..boxes.len()).filter(|&j| j != i && near(&boxes[i], &boxes[j])).collect();
         self.beside = (0..boxes.len()).into_par_iter().map(beside).collect();
@@ -130,7 +129,7 @@ impl Blocks {
 
     /// The turn of `blocks`, none beside another: each chooses until its squared radius has fallen from
     /// the largest one, `top`, or it has a rival. Returns the choices.
-    fn turn(&mut self, blocks: &[usize], top: f32, points: &[Point]) -> Vec<Key> {
+    fn turn(&mut self, blocks: &[usize], top: f32, points: &[Point], weights: &[f32]) -> Vec<Key> {
         let mut active: Vec<(usize, Tree)> =
             blocks.iter().filter_map(|&b| Some((b, self.trees[b].take()?))).collect();
         let choices: Vec<Vec<Key>> = active
@@ -145,8 +144,8 @@ impl Blocks {
                     if radius < 0.0 || radius <= TURN * top && radius < top {
                         return choices;
                     }
-                    let at = points[key.index() as usize];
-                    if rivals().any(|rival| rival.has_rival_of(at, key)) {
+                    let (at, weight) = (points[key.index() as usize], weights[key.index() as usize]);
+                    if rivals().any(|rival| rival.has_rival_of(at, weight, key)) {
                         return choices;
                     }
                     choices.push(key);
@@ -179,22 +178,25 @@ impl Tree {
         }
     }
 
-    /// Whether a point comes before that of `key` and one of the two is within the other's radius, which is
-    /// to say within the larger, the former's.
-    fn has_rival_of(&self, at: Point, key: Key) -> bool {
-        self.rival(0, 0, self.buckets.len(), at, key)
+    /// Whether a point comes before that of `key`, which has that `weight`, and one of the two is within the other's
+    /// radius: choosing the one changes what the other has.
+    fn has_rival_of(&self, at: Point, weight: f32, key: Key) -> bool {
+        self.rival(0, 0, self.buckets.len(), (at, weight), key)
     }
 
-    fn rival(&self, node: usize, start: usize, end: usize, at: Point, key: Key) -> bool {
+    fn rival(&self, node: usize, start: usize, end: usize, (at, weight): (Point, f32), key: Key) -> bool {
         let here = &self.nodes[node];
         let offset = std::array::from_fn(|a| (here.lo[a] - at[a]).max(at[a] - here.hi[a]).max(0.0));
-        if here.key < key || squared(offset) >= here.key.distance() {
+        let square = squared(offset);
+        let is_beyond = square * here.lightest >= here.key.distance() && square * weight >= key.distance();
+        if here.key < key || is_beyond {
             return false;
         }
         if end - start == 1 {
-            return self.buckets[start].rival(at, key);
+            return self.buckets[start].rival(at, weight, key);
         }
         let middle = start + (end - start) / 2;
-        self.rival(2 * node + 1, start, middle, at, key) || self.rival(2 * node + 2, middle, end, at, key)
+        self.rival(2 * node + 1, start, middle, (at, weight), key)
+            || self.rival(2 * node + 2, middle, end, (at, weight), key)
     }
 }

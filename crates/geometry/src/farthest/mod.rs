@@ -41,21 +41,55 @@ const CHOSEN: f32 = -1.0;
 /// ```
 #[must_use]
 pub fn farthest_point_sampling(points: &[Point], count: usize, first: usize) -> Vec<u32> {
+    sample(points, &vec![1.0; points.len()], count, first)
+}
+
+/// As [`farthest_point_sampling`], with distances to a point measured in the `spacing` there, so that a subset of
+/// varying density is as even as can be everywhere: where spacing doubles, chosen points lie twice as far apart.
+/// A subset's density goes by the inverse square of the spacing.
+///
+/// Precondition: one spacing a point, positive and finite.
+///
+/// # Panics
+/// Above [`MAX_POINTS`](crate::MAX_POINTS), and where spacings are not as many as points.
+///
+/// ```
+/// use densecloud_geometry::scaled_farthest_point_sampling;
+///
+/// let line: Vec<_> = (0..9).map(|i| [i as f32, 0.0, 0.0]).collect();
+/// // Twice as dense from 4 on.
+/// let spacing = [2.0, 2.0, 2.0, 2.0, 1.0, 1.0, 1.0, 1.0, 1.0];
+/// assert_eq!(scaled_farthest_point_sampling(&line, &spacing, 5, 0), [0, 8, 4, 6, 2]);
+/// ```
+#[must_use]
+pub fn scaled_farthest_point_sampling(
+    points: &[Point],
+    spacing: &[f32],
+    count: usize,
+    first: usize,
+) -> Vec<u32> {
+    assert_eq!(points.len(), spacing.len(), "one spacing a point");
+    let weights: Vec<f32> = spacing.iter().map(|s| 1.0 / (s * s)).collect();
+    sample(points, &weights, count, first)
+}
+
+/// Squared distances to a point count as its `weights` say.
+fn sample(points: &[Point], weights: &[f32], count: usize, first: usize) -> Vec<u32> {
     let count = count.min(points.len());
     if count == 0 {
         return Vec::new();
     }
     let first = first.min(indices(points.len()).len() - 1) as u32;
     if points.len() > BLOCKS_FROM {
-        return blocks::sample(points, count, first, BLOCK);
+        return blocks::sample(points, weights, count, first, BLOCK);
     }
-    in_turn(points, count, first)
+    in_turn(points, weights, count, first)
 }
 
 /// One point after the other, on one thread.
-fn in_turn(points: &[Point], count: usize, first: u32) -> Vec<u32> {
+fn in_turn(points: &[Point], weights: &[f32], count: usize, first: u32) -> Vec<u32> {
     let mut chosen = Vec::with_capacity(count);
-    let mut tree = Tree::new(points);
+    let mut tree = Tree::new(points, weights);
     let mut next = first;
     loop {
         chosen.push(next);
@@ -84,6 +118,8 @@ struct Node {
     hi: Point,
     /// The farthest point below this node.
     key: Key,
+    /// The least weight below this node.
+    lightest: f32,
 }
 
 /// A squared distance (of a point that is not chosen, so not negative) above an index, ordered by
@@ -115,7 +151,9 @@ struct Bucket {
     x: [f32; BUCKET],
     y: [f32; BUCKET],
     z: [f32; BUCKET],
-    /// Squared distance to the nearest chosen point.
+    /// What a squared distance to the point counts.
+    weight: [f32; BUCKET],
+    /// Weighted squared distance to the nearest chosen point.
     distance: [f32; BUCKET],
     index: [u32; BUCKET],
 }
@@ -124,18 +162,20 @@ impl Bucket {
     /// Takes a chosen point into account; returns the farthest point now.
     fn update(&mut self, q: Point, chosen: u32) -> Key {
         for i in 0..BUCKET {
-            let d = squared([self.x[i] - q[0], self.y[i] - q[1], self.z[i] - q[2]]);
+            let d = squared([self.x[i] - q[0], self.y[i] - q[1], self.z[i] - q[2]]) * self.weight[i];
             let d = if self.index[i] == chosen { CHOSEN } else { d };
             self.distance[i] = if d < self.distance[i] { d } else { self.distance[i] };
         }
         self.farthest()
     }
 
-    /// Whether a point comes before that of `key` and has it within its radius.
-    fn rival(&self, at: Point, key: Key) -> bool {
+    /// Whether a point comes before that of `key`, which has that `weight`, and one of the two is within the other's
+    /// radius.
+    fn rival(&self, at: Point, weight: f32, key: Key) -> bool {
         (0..BUCKET).any(|i| {
             let d = squared([self.x[i] - at[0], self.y[i] - at[1], self.z[i] - at[2]]);
-            d < self.distance[i] && Key::new(self.distance[i], self.index[i]) > key
+            let is_within = d * self.weight[i] < self.distance[i] || d * weight < key.distance();
+            is_within && Key::new(self.distance[i], self.index[i]) > key
         })
     }
 
@@ -154,38 +194,45 @@ impl Bucket {
 }
 
 impl Tree {
-    fn new(points: &[Point]) -> Self {
-        Self::over(&mut points.iter().copied().zip(0..).collect::<Vec<_>>())
+    fn new(points: &[Point], weights: &[f32]) -> Self {
+        Self::over(&mut points.iter().copied().zip(0..).collect::<Vec<_>>(), weights)
     }
 
-    fn over(items: &mut [Item]) -> Self {
+    fn over(items: &mut [Item], weights: &[f32]) -> Self {
         let buckets = items.len().div_ceil(BUCKET);
-        let empty = Node { lo: [f32::INFINITY; 3], hi: [f32::NEG_INFINITY; 3], key: Key::NONE };
+        let empty = Node {
+            lo: [f32::INFINITY; 3],
+            hi: [f32::NEG_INFINITY; 3],
+            key: Key::NONE,
+            lightest: f32::INFINITY,
+        };
         let mut tree = Self {
             nodes: vec![empty; 2 * buckets.next_power_of_two() - 1],
             buckets: Vec::with_capacity(buckets),
         };
-        tree.build(0, items);
+        tree.build(0, items, weights);
         tree
     }
 
     /// Buckets are made left to right, so a node's buckets follow from its place alone.
-    fn build(&mut self, node: usize, items: &mut [Item]) {
+    fn build(&mut self, node: usize, items: &mut [Item], weights: &[f32]) {
         let (lo, hi) = bounds(items);
         let buckets = items.len().div_ceil(BUCKET);
         if buckets <= 1 {
             // In a bucket the first of equal distances is the one of the lowest index.
             items.sort_unstable_by_key(|&(_, i)| i);
-            let bucket = bucket(items);
-            self.nodes[node] = Node { lo, hi, key: bucket.farthest() };
+            let bucket = bucket(items, weights);
+            let lightest = items.iter().map(|&(_, i)| weights[i as usize]).fold(f32::INFINITY, f32::min);
+            self.nodes[node] = Node { lo, hi, key: bucket.farthest(), lightest };
             self.buckets.push(bucket);
             return;
         }
         let (left, right) = halves(items, buckets / 2 * BUCKET);
-        self.build(2 * node + 1, left);
-        self.build(2 * node + 2, right);
-        let key = self.nodes[2 * node + 1].key.max(self.nodes[2 * node + 2].key);
-        self.nodes[node] = Node { lo, hi, key };
+        self.build(2 * node + 1, left, weights);
+        self.build(2 * node + 2, right, weights);
+        let (left, right) = (&self.nodes[2 * node + 1], &self.nodes[2 * node + 2]);
+        let (key, lightest) = (left.key.max(right.key), left.lightest.min(right.lightest));
+        self.nodes[node] = Node { lo, hi, key, lightest };
     }
 
     fn choose(&mut self, q: Point, index: u32) {
@@ -217,7 +264,7 @@ impl Node {
     /// computed distance of a point inside. Equality matters where it marks `q` itself as chosen.
     fn is_reached_from(&self, q: Point) -> bool {
         let offset = std::array::from_fn(|a| (self.lo[a] - q[a]).max(q[a] - self.hi[a]).max(0.0));
-        squared(offset) <= self.key.distance()
+        squared(offset) * self.lightest <= self.key.distance()
     }
 }
 
@@ -231,16 +278,18 @@ fn halves(items: &mut [Item], middle: usize) -> (&mut [Item], &mut [Item]) {
     items.split_at_mut(middle)
 }
 
-fn bucket(items: &[Item]) -> Bucket {
+fn bucket(items: &[Item], weights: &[f32]) -> Bucket {
     let mut bucket = Bucket {
         x: [0.0; BUCKET],
         y: [0.0; BUCKET],
         z: [0.0; BUCKET],
+        weight: [0.0; BUCKET],
         distance: [CHOSEN; BUCKET],
         index: [u32::MAX; BUCKET],
     };
     for (place, &([x, y, z], index)) in items.iter().enumerate() {
         (bucket.x[place], bucket.y[place], bucket.z[place]) = (x, y, z);
+        bucket.weight[place] = weights[index as usize];
         (bucket.distance[place], bucket.index[place]) = (f32::INFINITY, index);
     }
     bucket
@@ -252,7 +301,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    fn plain(points: &[Point], count: usize, first: usize) -> Vec<u32> {
+    fn plain(points: &[Point], weights: &[f32], count: usize, first: usize) -> Vec<u32> {
         let count = count.min(points.len());
         let mut nearest = vec![f32::INFINITY; points.len()];
         let mut chosen = Vec::new();
@@ -260,8 +309,8 @@ mod tests {
         while chosen.len() < count {
             chosen.push(next as u32);
             let q = points[next];
-            for (d, p) in nearest.iter_mut().zip(points) {
-                *d = d.min(squared([p[0] - q[0], p[1] - q[1], p[2] - q[2]]));
+            for ((d, p), weight) in nearest.iter_mut().zip(points).zip(weights) {
+                *d = d.min(squared([p[0] - q[0], p[1] - q[1], p[2] - q[2]]) * weight);
             }
             let mut best: Option<usize> = None;
             for i in (0..points.len()).filter(|&i| !chosen.contains(&(i as u32))) {
@@ -294,11 +343,18 @@ mod tests {
                 })
                 .collect();
             let count = (n as f64 * share) as usize;
-            let wanted = plain(&points, count, first);
-            prop_assert_eq!(&farthest_point_sampling(&points, count, first), &wanted);
-            if n > 0 && count > 0 {
-                let first = first.min(n - 1) as u32;
-                prop_assert_eq!(&blocks::sample(&points, count.min(n), first, 20), &wanted);
+            let even = vec![1.0; n];
+            // From one side to the other a hundred times as many points a volume, and random factors.
+            let uneven: Vec<f32> = points.iter().map(|p| 10.0_f32.powf(p[0]) * (0.5 + rng.f64() as f32)).collect();
+            prop_assert_eq!(&farthest_point_sampling(&points, count, first), &plain(&points, &even, count, first));
+            let weights: Vec<f32> = uneven.iter().map(|s| 1.0 / (s * s)).collect();
+            for (spacing, weights) in [(&even, &even), (&uneven, &weights)] {
+                let wanted = plain(&points, weights, count, first);
+                prop_assert_eq!(&scaled_farthest_point_sampling(&points, spacing, count, first), &wanted);
+                if n > 0 && count > 0 {
+                    let first = first.min(n - 1) as u32;
+                    prop_assert_eq!(&blocks::sample(&points, weights, count.min(n), first, 20), &wanted);
+                }
             }
         }
     }
@@ -308,11 +364,17 @@ mod tests {
         let mesh = crate::shape("knot").expect("a built-in shape");
         let points: Vec<Point> =
             crate::uniform(&mesh, 40_000, 1).expect("points").iter().map(|p| p.map(|c| c as f32)).collect();
-        for count in [1000, 15_000, 40_000] {
-            let wanted = in_turn(&points, count, 7);
+        let weights: Vec<f32> = points.iter().map(|p| 30.0_f32.powf(p[0])).collect();
+        for (weights, count) in
+            [(&weights, 1000), (&vec![1.0; 40_000], 15_000), (&weights, 15_000), (&weights, 40_000)]
+        {
+            let wanted = in_turn(&points, weights, count, 7);
             for threads in [1, 3] {
                 let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
-                assert!(pool.install(|| blocks::sample(&points, count, 7, 3000)) == wanted, "{count} points");
+                assert!(
+                    pool.install(|| blocks::sample(&points, weights, count, 7, 3000)) == wanted,
+                    "{count} points"
+                );
             }
         }
     }
