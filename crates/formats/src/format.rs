@@ -97,8 +97,9 @@ impl Format {
         self.ask(|format| format.written()).unwrap_or(self)
     }
 
-    /// The type that holds all that coordinates of this format can tell.
-    pub(crate) fn scalar(self) -> Scalar {
+    /// The type that holds all that coordinates of this format can tell: 64 bits for text, LAS and whole numbers.
+    #[must_use]
+    pub fn scalar(self) -> Scalar {
         self.ask(|format| format.scalar())
     }
 

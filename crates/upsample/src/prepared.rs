@@ -100,7 +100,7 @@ impl Prepared {
         let mut format = Format::of_result(wanted, input, !cloud.attributes.is_empty());
         let mut points_out = 0;
         if let Ok(survey) = Survey::of(&cloud.positions, survey::GLANCE) {
-            warnings.extend(survey.warnings());
+            warnings.extend(survey.warnings(input.scalar()));
             // Where it is impossible, the cascade says so.
             points_out = target.points_out(survey.finite as u64).unwrap_or_default();
             format = format.fine_enough(survey.bounds, survey.result_spacing(points_out));

@@ -120,7 +120,7 @@ impl Inspection<'_> {
 
     fn warnings(&self) -> Vec<String> {
         let mut warnings = self.cloud.warnings();
-        warnings.extend(self.survey.warnings());
+        warnings.extend(self.survey.warnings(self.format.scalar()));
         warnings.extend_from_slice(self.plan.warnings());
         warnings
     }

@@ -19,6 +19,18 @@ const CLOSE: usize = 6;
 /// The smallest share of the variance of a plane's 16 neighbours across it from which they fill a volume.
 const VOLUME: f64 = 0.12;
 
+/// Nearest neighbours through pairs of which, and the point, a plane is laid to find a sheet among several; those of a pair
+/// whose directions differ by less than this sine span none.
+const SPANNING: usize = 8;
+const SPAN: f64 = 0.3;
+
+/// A neighbour lies in a sheet if it is no further from its plane than this share of the usual spacing.
+const IN_SHEET: f64 = 0.12;
+
+/// Neighbours in one plane, the spanning ones included, from which they are a sheet, of 24: in a volume most planes
+/// have fewer.
+const SHEET: usize = 7;
+
 /// The largest share of the middle axis from which they lie on a line.
 const LINE: f64 = 0.01;
 
@@ -82,7 +94,7 @@ impl Local {
             // A lone return is no surface.
             cell: if isolated { 0.0 } else { cell },
             noise: quadratic_residual(points, &near),
-            off_surface: least > VOLUME * total,
+            off_surface: least > VOLUME * total && !in_sheet(points, &near),
             on_line: middle < LINE * most,
             isolated,
         })
@@ -95,6 +107,31 @@ impl Local {
         self.cell *= unit * unit;
         self.density /= unit * unit;
     }
+}
+
+/// Whether the first of `near` lies in a sheet, if beside others: a thin part's two sides fill a volume together, and
+/// are surfaces.
+fn in_sheet(points: &[Point], near: &[Neighbour]) -> bool {
+    let at = |n: &Neighbour| points[n.index as usize].map(f64::from);
+    let origin = at(&near[0]);
+    let others: Vec<[f64; 3]> =
+        near[1..].iter().map(at).map(|p| std::array::from_fn(|a| p[a] - origin[a])).collect();
+    let close = others.iter().take(CLOSE).map(|p| dot(*p, *p).sqrt());
+    let tolerance = IN_SHEET * close.sum::<f64>() / CLOSE as f64;
+    let spanning = &others[..others.len().min(SPANNING)];
+    spanning.iter().enumerate().any(|(i, p)| {
+        spanning[i + 1..].iter().any(|q| {
+            let normal = [p[1] * q[2] - p[2] * q[1], p[2] * q[0] - p[0] * q[2], p[0] * q[1] - p[1] * q[0]];
+            let length = dot(normal, normal).sqrt();
+            let in_plane = |o: &&[f64; 3]| dot(normal, **o).abs() <= tolerance * length;
+            length > SPAN * (dot(*p, *p) * dot(*q, *q)).sqrt()
+                && others.iter().filter(in_plane).count() >= SHEET
+        })
+    })
+}
+
+fn dot(p: [f64; 3], q: [f64; 3]) -> f64 {
+    p[0] * q[0] + p[1] * q[1] + p[2] * q[2]
 }
 
 /// Compares the distance to the third neighbour with those of the three themselves.

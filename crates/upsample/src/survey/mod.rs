@@ -15,6 +15,7 @@ pub use strays::strays;
 pub use target::{Goal, GoalError};
 
 use densecloud_cloud::{Frame, FrameError, Point, Position};
+use densecloud_formats::Scalar;
 use densecloud_geometry::{KdTree, Rng, indices};
 use local::Local;
 
@@ -55,7 +56,8 @@ pub struct Survey {
     /// Root mean square distance of points from the smooth surface that their neighbours suggest: the
     /// median over the cloud.
     pub noise: f64,
-    /// Share of points whose neighbours fill a volume rather than a surface: vegetation, heavy noise.
+    /// Share of points whose neighbours fill a volume rather than a surface, and lie in no sheet of several either:
+    /// vegetation, heavy noise.
     pub off_surface: f64,
     /// Share of points whose neighbours lie on a line: scan lines far apart, wires.
     pub on_lines: f64,
@@ -143,9 +145,9 @@ impl Survey {
     }
 
     /// What a person should know before upsampling this cloud, a sentence each: where it is not what the
-    /// network was made for. Empty for most.
+    /// network was made for. Empty for most. `storage` is the type that its coordinates were stored in.
     #[must_use]
-    pub fn warnings(&self) -> Vec<String> {
+    pub fn warnings(&self, storage: Scalar) -> Vec<String> {
         let mut warnings = Vec::new();
         let percent = |share: f64| format!("{:.0} %", 100.0 * share);
         let range = self.density.high / self.density.low;
@@ -158,7 +160,8 @@ impl Survey {
         if self.off_surface > 0.25 {
             warnings.push(format!(
                 "{} of the points have neighbours that fill a volume rather than a surface (vegetation, heavy \
-                 noise): new points there are guesses; filter or smooth first",
+                 noise, parts thinner than points are apart): new points there are guesses; filter, smooth or \
+                 sample more densely first",
                 percent(self.off_surface)
             ));
         }
@@ -176,12 +179,12 @@ impl Survey {
                 percent(self.isolated)
             ));
         }
-        warnings.extend(self.unit_warning());
+        warnings.extend(self.unit_warning(storage));
         warnings
     }
 
     /// Whether the coordinates look like something that is no length, or are too coarse.
-    fn unit_warning(&self) -> Option<String> {
+    fn unit_warning(&self, storage: Scalar) -> Option<String> {
         let [lo, hi] = self.bounds;
         let side = |a: usize| hi[a] - lo[a];
         let within = |a: usize, limit: f64| lo[a] >= -limit && hi[a] <= limit;
@@ -193,10 +196,9 @@ impl Survey {
                     .into(),
             );
         }
-        let narrow = lo.iter().chain(&hi).all(|c| f64::from(*c as f32) == *c);
         let largest = lo.iter().chain(&hi).fold(0.0_f64, |m, c| m.max(c.abs()));
         let step = largest * f64::from(f32::EPSILON);
-        (narrow && step > 0.1 * self.spacing.median).then(|| {
+        (storage == Scalar::F32 && step > 0.1 * self.spacing.median).then(|| {
             format!(
                 "the coordinates are 32-bit floats, rounded to {step:.2e} where points are {:.2e} apart: detail was \
                  lost before; store the cloud with 64-bit ones",

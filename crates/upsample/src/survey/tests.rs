@@ -39,7 +39,7 @@ fn the_area_of_a_sphere_is_found_whatever_the_sampling() {
                 "{survey:?}"
             );
             assert!(survey.noise < 0.02 * survey.spacing.median, "{survey:?}");
-            assert_eq!(survey.warnings(), [""; 0]);
+            assert_eq!(survey.warnings(Scalar::F64), [""; 0]);
         }
     }
 }
@@ -50,13 +50,13 @@ fn what_is_no_surface_is_noticed() {
     let fog: Vec<Position> = (0..4000).map(|_| std::array::from_fn(|_| random.f64())).collect();
     let survey = Survey::of(&fog, SAMPLE).expect("a survey");
     assert!(survey.off_surface > 0.5, "{survey:?}");
-    assert!(survey.warnings()[0].contains("fill a volume"), "{:?}", survey.warnings());
+    assert!(survey.warnings(Scalar::F64)[0].contains("fill a volume"), "{:?}", survey.warnings(Scalar::F64));
 
     let lines: Vec<Position> =
         (0..4000).map(|i| [f64::from(i % 400) * 0.01, f64::from(i / 400), 0.0]).collect();
     let survey = Survey::of(&lines, SAMPLE).expect("a survey");
     assert!(survey.on_lines > 0.9, "{survey:?}");
-    assert!(survey.warnings()[0].contains("lie on lines"), "{:?}", survey.warnings());
+    assert!(survey.warnings(Scalar::F64)[0].contains("lie on lines"), "{:?}", survey.warnings(Scalar::F64));
 
     let mut stray = sphere(2000, true, 1.0);
     let area = Survey::of(&stray, SAMPLE).expect("a survey").area;
@@ -66,7 +66,20 @@ fn what_is_no_surface_is_noticed() {
     let survey = Survey::of(&stray, SAMPLE).expect("a survey");
     assert!((0.03..=0.05).contains(&survey.isolated), "{survey:?}");
     assert!((survey.area / area - 1.0).abs() < 0.15, "{survey:?} for {area}");
-    assert!(survey.warnings()[0].contains("stand alone"), "{:?}", survey.warnings());
+    assert!(survey.warnings(Scalar::F64)[0].contains("stand alone"), "{:?}", survey.warnings(Scalar::F64));
+}
+
+#[test]
+fn a_plate_thinner_than_its_points_are_apart_is_a_surface() {
+    // Two sides 0.7 spacings apart: each point's neighbours are of both.
+    let mut random = Rng::new(8);
+    let plate: Vec<Position> =
+        (0..4000).map(|i| [random.f64(), random.f64(), 0.015 * f64::from(i % 2)]).collect();
+    let survey = Survey::of(&plate, SAMPLE).expect("a survey");
+    assert!(survey.off_surface < 0.1, "{survey:?}");
+    // As thick, and filled.
+    let filled: Vec<Position> = plate.iter().map(|p| [0.2 * p[0], 0.2 * p[1], 0.2 * random.f64()]).collect();
+    assert!(Survey::of(&filled, SAMPLE).expect("a survey").off_surface > 0.5);
 }
 
 #[test]
@@ -76,11 +89,16 @@ fn units_that_look_wrong_are_noticed() {
         .map(|p| [7.0 + 1e-4 * (p[0] - 5e5), 50.0 + 1e-4 * (p[1] - 5e5), 300.0 + 20.0 * (p[2] - 5e5)])
         .collect();
     let survey = Survey::of(&degrees, SAMPLE).expect("a survey");
-    assert!(survey.warnings().iter().any(|w| w.contains("look like degrees")), "{:?}", survey.warnings());
+    assert!(
+        survey.warnings(Scalar::F64).iter().any(|w| w.contains("look like degrees")),
+        "{:?}",
+        survey.warnings(Scalar::F64)
+    );
     let coarse: Vec<Position> =
         sphere(2000, true, 0.5).into_iter().map(|p| p.map(|c| f64::from((c + 4.5e6) as f32))).collect();
     let survey = Survey::of(&coarse, SAMPLE).expect("a survey");
-    assert!(survey.warnings().iter().any(|w| w.contains("32-bit floats")), "{:?}", survey.warnings());
+    let warned = |storage| survey.warnings(storage).iter().any(|w| w.contains("32-bit floats"));
+    assert!(warned(Scalar::F32) && !warned(Scalar::F64));
 }
 
 #[test]
