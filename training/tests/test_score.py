@@ -14,6 +14,7 @@ from densecloud_training.score import (
     noisy,
     peers,
     pictures,
+    real,
     report,
     rules,
     scans,
@@ -338,3 +339,67 @@ def test_predictions_alone_are_averaged_over_seeds():
     assert mixed.rows["cow"]["prediction"]["spacing_variation"] == pytest.approx(0.09)
     assert mixed.rows["cow"]["midpoints"] == first.rows["cow"]["midpoints"]
     assert mixed.rows["cup"] == first.rows["cup"]
+
+
+def grid(side: int) -> np.ndarray:
+    """Points of a plane, a unit apart."""
+    x, y = np.meshgrid(np.arange(side), np.arange(side))
+    return np.stack([x.ravel(), y.ravel(), np.zeros(side * side)], 1).astype(float)
+
+
+def test_a_scan_that_comes_back_scores_nothing_and_the_input_alone_misses():
+    points = grid(40)
+    truth = real.Truth.of(points)
+    assert truth.spacing == 1
+    kept = real.by_lines(points[:, 1], points[:, 0])(points)
+    assert len(kept) == 400
+    whole = real.score(truth, kept, points)
+    assert whole["CDH"] == 0 and whole["miss 1"] == 0 and whole["thinned"] == 0
+    alone = real.score(truth, kept, points[kept])
+    # Of what was taken away two in three lie beside a kept point, the others across: (2 + sqrt 2) / 3, borders aside.
+    assert abs(alone["CDH"] - (2 + math.sqrt(2)) / 3) < 0.02
+    moved = real.score(truth, kept, points + [0, 0, 3])
+    assert moved["false 2"] == 100 and moved["CDH"] == 6
+
+
+def test_a_result_that_leaves_a_place_out_is_thinner_there():
+    points = grid(40)
+    kept = real.by_lines(points[:, 1], points[:, 0])(points)
+    half = points[points[:, 0] < 20]
+    thinned = real.score(real.Truth.of(points), kept, half)["thinned"]
+    assert 40 < thinned < 60
+
+
+def test_thinnings_take_a_quarter_and_go_by_range():
+    points = grid(40)
+    for thin in (real.at_random, real.evenly, real.by_range([0, 0, 0])):
+        kept = thin(points)
+        assert len(np.unique(kept)) == 400
+    near = np.linalg.norm(points, axis=1) < 20
+    assert near[real.by_range([0, 0, 0])(points)].mean() > 1.3 * near[real.at_random(points)].mean()
+    apart = real.cKDTree(points[real.evenly(points)]).query(points[real.evenly(points)], 2)[0][:, 1]
+    assert apart.min() >= math.sqrt(2)
+
+
+def test_midpoints_come_with_the_points_and_once():
+    points = grid(12)
+    middles = real.midpoints(points)
+    assert len(middles) == 4 * len(points) and (middles[: len(points)] == points).all()
+    assert len(np.unique(middles, axis=0)) > 3 * len(points)
+
+
+def test_roughness_tells_a_plane_from_a_volume():
+    assert real.roughness(real.Truth.of(grid(40))) == (0, 0)
+    volume = np.random.default_rng(1).random((4000, 3))
+    assert real.roughness(real.Truth.of(volume))[1] > 0.9
+
+
+def test_the_table_of_real_scans_counts_where_the_program_is_ahead():
+    scores = dict.fromkeys(real.HEADER[3:], 1.0)
+    rows = [
+        real.Row("a", "random", method, {**scores, "CDH": cdh, "thinned": 0.5})
+        for method, cdh in (("repeated", 2.0), ("midpoints", 0.9), ("densecloud", 1.0))
+    ]
+    text = real.text(rows, [["a", "1,600", "1", "0.10", "0.0"]])
+    assert "| repeated | 1 of 1 | 1.00 | 2.00 |" in text and "| midpoints | 0 of 1 | 1.00 | 0.90 |" in text
+    assert "Thinned at most: 0.50 %" in text

@@ -11,6 +11,7 @@ scored is what users run: weights, merging and all. Files made on the way are ke
     stress      curves over noise and over removed points
     rules       the cascade's own rules, each changed alone
     peers       the PU-GAN benchmark, beside other networks
+    real        real scans, thinned and upsampled back, beside the controls
     scans       readers of scan files, and views that show them well
     pictures    before and after, of real scans
     cleaning    what to do with a noisy scan before upsampling

@@ -8,7 +8,7 @@ from typing import List, Sequence
 from ..clouds import validation_names
 from ..errors import run_command
 from ..prepare import find_program
-from . import noisy, peers, pictures, rules, stress, targets, validation
+from . import noisy, peers, pictures, real, rules, stress, targets, validation
 from .inputs import Inputs
 from .program import Program
 
@@ -34,6 +34,10 @@ def parser() -> argparse.ArgumentParser:
     commands.add_parser("targets", parents=[common, meshes], help="how well a spacing or a density is met")
     found = commands.add_parser("peers", parents=[common], help="the PU-GAN benchmark, beside other networks")
     found.add_argument("--benchmark", type=Path, required=True, help="folder with mesh/, input_*/ and reference_*/")
+    found = commands.add_parser("real", parents=[common], help="real scans, thinned and upsampled back")
+    found.add_argument(
+        "--scans", type=Path, required=True, action="append", help="a folder of scans; may be given again"
+    )
     found = commands.add_parser("noisy", parents=[common, meshes], help="what cleaning before upsampling gains")
     found.add_argument("--scans", type=Path, help="folder of scans: draws one of them too, cleaned in each way")
     found = commands.add_parser("pictures", parents=[common], help="before and after, of real scans")
@@ -83,6 +87,9 @@ def run(arguments: argparse.Namespace) -> None:
     elif arguments.command == "peers":
         only: List[str] = arguments.shapes.split(",") if arguments.shapes else []
         write(out, "peers.md", peers.text(peers.evaluate(program, arguments.benchmark, out, only or None)))
+    elif arguments.command == "real":
+        only = arguments.shapes.split(",") if arguments.shapes else []
+        write(out, "real.md", real.text(*real.evaluate(program, arguments.scans, out, only)))
     elif arguments.command == "noisy":
         drawn = noisy.draw(program, arguments.scans, out) + "\n" if arguments.scans else ""
         inputs = held_out(arguments, program, noisy.SHAPES)
