@@ -64,6 +64,7 @@ fn options() -> impl Strategy<Value = Vec<(&'static str, String)>> {
         ("max_displacement", "inf"),
         ("max_distance", "1.2"),
         ("no_polish", "true"),
+        ("spread", "area"),
     ];
     let some = proptest::sample::subsequence(others.to_vec(), 0..=5);
     (goal, some).prop_map(|(goal, some)| {

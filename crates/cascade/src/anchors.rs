@@ -2,6 +2,7 @@
 
 use rayon::prelude::*;
 
+use super::flats::Flats;
 use super::globals::{once, trust};
 use super::measured::Measured;
 use densecloud_cloud::Point;
@@ -22,6 +23,7 @@ pub(super) struct Anchors<'a> {
     input: &'a Measured,
     /// From the surface to each input point.
     offsets: Vec<Point>,
+    flats: Flats,
     /// From 0, where the input is noisy, to 1, where it is clean.
     pub(super) trust: f32,
 }
@@ -35,10 +37,11 @@ impl<'a> Anchors<'a> {
         let offset = |(p, foot): (&Point, &Point)| std::array::from_fn(|a| p[a] - foot[a]);
         let offsets: Vec<Point> = input.points.iter().zip(&feet).map(offset).collect();
         let trust = once(known, || trust(&offsets, &input.spacing));
-        Self { input, offsets, trust }
+        Self { input, offsets, flats: Flats::of(input), trust }
     }
 
-    /// Moves each of `points`, which lie on the surface, by the offsets of the input points around it.
+    /// Moves each of `points`, which lie on the surface, by the offsets of the input points around it, and into their
+    /// plane where they lie in one.
     pub(super) fn draw(&self, points: &mut [Point]) {
         points.par_iter_mut().for_each_init(Walk::default, |walk, point| {
             self.input.tree.nearest_next(*point, 1, walk);
@@ -55,6 +58,7 @@ impl<'a> Anchors<'a> {
             for a in 0..3 {
                 point[a] += self.trust * offset[a] / total;
             }
+            self.flats.hold(point, self.input, nearest);
         });
     }
 }

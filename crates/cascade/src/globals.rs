@@ -22,6 +22,8 @@ pub(crate) struct Globals {
     pub(crate) usual_spacings: [Option<f32>; PASSES],
     /// How even the input is: [`evenness`].
     pub(crate) evenness: Option<f32>,
+    /// The logarithm of the area that an input point usually has: [`usual_logarithm`].
+    pub(crate) usual_point: Option<f32>,
     /// What each level made, from the first.
     pub(crate) levels: Vec<LevelGlobals>,
     /// What the polish of the last level goes by.
@@ -46,6 +48,8 @@ pub(crate) struct PolishGlobals {
     pub(crate) input_a_sample: Option<f32>,
     /// Midpoints of that sample.
     pub(crate) midpoints: Option<usize>,
+    /// The logarithm of the area that an input point usually has on the surface that the units made: [`usual_logarithm`].
+    pub(crate) usual_point: Option<f32>,
     /// The usual area of an input point's surroundings: [`median`].
     pub(crate) usual_area: Option<f32>,
     /// The usual number of points chosen for its share of the area: [`median`].
@@ -60,6 +64,7 @@ impl Globals {
             sizes: Vec::new(),
             usual_spacings: [None; PASSES],
             evenness: None,
+            usual_point: None,
             levels: Vec::new(),
             polish: PolishGlobals::default(),
         }
@@ -80,6 +85,11 @@ pub(crate) fn once<T: Copy>(known: &mut Option<T>, computed: impl FnOnce() -> T)
 /// The spacing that half of the points are below.
 pub(crate) fn usual_spacing(spacings: &[f32]) -> f32 {
     nth(&mut spacings.to_vec(), spacings.len() / 2)
+}
+
+/// The logarithm of the mean of some areas.
+pub(crate) fn usual_logarithm(areas: &[f32]) -> f32 {
+    (areas.iter().sum::<f32>() / areas.len() as f32).ln()
 }
 
 /// Variation of the distances to the nearest other, in the spacing there: even samples have 0.07 to 0.1, random ones 0.39

@@ -5,11 +5,12 @@ use super::measured::Reference;
 use super::patches::Patches;
 use super::polish::{Sizes, polish};
 use super::runner::{FeatureTable, LevelInput, LevelOutput, LevelRunner};
+use super::share::{Neighbourhoods, sample};
 use super::skip::SkipNeighbours;
 use super::strays::{StrayLimits, without_strays};
 use super::{BackendError, CascadeError, CascadeOptions, Observer, Stage};
 use densecloud_cloud::Point;
-use densecloud_geometry::{Rng, farthest_point_sampling};
+use densecloud_geometry::Rng;
 
 /// The share of a level's size that is enough where a polish follows, which chooses among midpoints: the level does
 /// without the rest rather than take the worst strays for it.
@@ -31,10 +32,14 @@ pub(super) struct Level {
 pub(super) struct Handover {
     /// The level's result, distinct, in local coordinates.
     pub(super) points: Vec<Point>,
+    /// For each point the spacing of the input there; none where the whole is to be equally dense.
+    pub(super) local: Option<Vec<f32>>,
     /// Features for the next level; none before the first level, and where there is none.
     pub(super) previous: Option<Previous>,
     /// The cascade's input, to measure strays against; none before the first level, whose input it is.
     pub(super) reference: Option<Reference>,
+    /// Of the input, before the first level.
+    pub(super) neighbourhoods: Option<Neighbourhoods>,
 }
 
 /// What a level leaves of its input: the points and their features.
@@ -56,7 +61,7 @@ impl Level {
     /// Runs the level on what the one before it gave.
     pub(super) fn run(
         self,
-        Handover { points, previous, reference }: Handover,
+        Handover { points, local, previous, reference, neighbourhoods }: Handover,
         run: &Run<'_>,
         globals: &mut Globals,
     ) -> Result<Handover, CascadeError> {
@@ -65,8 +70,15 @@ impl Level {
         // Each level draws from its own stream, so that a ratio's levels do not depend on how many
         // follow.
         let mut random = Rng::new(options.seed.wrapping_add((number as u64) << 32));
-        let patches =
-            Patches::cover(&points, runner.shape().patch_size, options, &mut random, number, observer)?;
+        let patches = Patches::cover(
+            &points,
+            local.as_deref(),
+            runner.shape().patch_size,
+            options,
+            &mut random,
+            number,
+            observer,
+        )?;
         let skip =
             previous.as_ref().map(|p| SkipNeighbours::find(&p.points, &p.rows, &points)).transpose()?;
 
@@ -84,7 +96,8 @@ impl Level {
         let (rows, spacing) = patches.into_rows_and_spacing();
         // The features that this level read are what takes most memory: gone before sampling begins.
         drop((previous, skip));
-        let reference = reference.unwrap_or_else(|| Reference::new(&points, spacing, globals));
+        let reference = reference
+            .unwrap_or_else(|| Reference { neighbourhoods, ..Reference::new(&points, spacing, globals) });
         let doubled = 2 * points.len();
         let share = |polished: f64| if options.polish { (polished * size as f64) as usize } else { size };
         let limits = StrayLimits {
@@ -94,7 +107,9 @@ impl Level {
             least: share(ENOUGH),
         };
         let merged = without_strays(&made, &limits, &reference, &mut globals.levels[number]);
-        drop(made);
+        drop((made, local));
+        let local = reference.local(&merged.nearest);
+        let merged = merged.points;
         if merged.len() < share(FEWEST) {
             let why = "it made points that are not finite; the model is unusable".into();
             return Err(BackendError::Run { unit: unit + 1, why }.into());
@@ -105,18 +120,20 @@ impl Level {
         if observer.cancelled() {
             return Err(CascadeError::Cancelled);
         }
-        let points = if last && options.polish {
+        let (points, local) = if last && options.polish {
             let sizes = Sizes { full: doubled.max(size), size };
-            polish(&merged, sizes, &reference, &mut globals.polish, &mut random, observer)?
+            (polish(&merged, local, sizes, &reference, &mut globals.polish, &mut random, observer)?, None)
         } else {
             let first = random.below(merged.len() as u64) as usize;
-            let mut kept = farthest_point_sampling(&merged, size.min(merged.len()), first);
+            let mut kept = sample(&merged, local.as_deref(), size.min(merged.len()), first);
             if !last {
                 // The order means nothing to the next level, and patch by patch neighbours are near in memory.
                 kept.sort_unstable();
             }
-            kept.iter().map(|&i| merged[i as usize]).collect()
+            let local = local.map(|local| kept.iter().map(|&i| local[i as usize]).collect());
+            (kept.iter().map(|&i| merged[i as usize]).collect(), local)
         };
-        Ok(Handover { points, previous, reference: (!last).then_some(reference) })
+        let reference = (!last).then_some(reference);
+        Ok(Handover { points, local, previous, reference, neighbourhoods: None })
     }
 }

@@ -34,6 +34,7 @@ mod balance;
 mod border;
 #[cfg(any(test, feature = "fake"))]
 mod fake;
+mod flats;
 mod globals;
 mod input;
 mod level;
@@ -45,6 +46,7 @@ mod plan;
 mod polish;
 mod runner;
 mod session;
+mod share;
 mod skip;
 mod sphere;
 mod strays;
@@ -58,6 +60,7 @@ pub use patchwise::{OnDemand, Patchwise, Sessions, Workspace};
 pub use plan::{MAX_RATIO, Target};
 pub use runner::{BackendError, Demand, FeatureTable, LevelInput, LevelOutput, LevelRunner, Made, UnitShape};
 pub use session::{Backend, Batch, Output, SKIP_NEIGHBOURS, Session, SkipInput};
+pub use share::Spread;
 pub use skip::SkipNeighbours;
 pub use sphere::Sphere;
 
@@ -68,6 +71,7 @@ use globals::Globals;
 use input::Input;
 use level::{Handover, Level, Run};
 use plan::Plan;
+use share::Neighbourhoods;
 
 /// How to run the cascade; the defaults are what the shipped model was measured with.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -92,13 +96,23 @@ pub struct CascadeOptions {
     /// more, projected onto the surface that all its points suggest, and drawn to the input as far as
     /// that is clean. Without, every point is one that the network put there.
     pub polish: bool,
+    /// Whether each neighbourhood gets its share of the points, or the whole becomes equally dense.
+    pub spread: Spread,
     /// Chooses where farthest point sampling starts, hence which of many equally good results.
     pub seed: u64,
 }
 
 impl Default for CascadeOptions {
     fn default() -> Self {
-        Self { overlap: 2.0, inner: 0.3, max_displacement: 0.8, max_distance: 1.5, polish: true, seed: 0 }
+        Self {
+            overlap: 2.0,
+            inner: 0.3,
+            max_displacement: 0.8,
+            max_distance: 1.5,
+            polish: true,
+            spread: Spread::default(),
+            seed: 0,
+        }
     }
 }
 
@@ -246,7 +260,10 @@ fn cascade(
     }
     run.observer.plan(&globals.sizes);
     let levels = globals.sizes.len();
-    let mut handover = Handover { points: together, previous: None, reference: None };
+    let neighbourhoods = (run.options.spread == Spread::Neighbourhood)
+        .then(|| Neighbourhoods::of(&together, &mut globals.usual_point));
+    let local = neighbourhoods.as_ref().map(|n| n.spacing.clone());
+    let mut handover = Handover { points: together, local, previous: None, reference: None, neighbourhoods };
     for number in 0..levels {
         let level = Level { number, size: globals.sizes[number], last: number + 1 == levels };
         handover = level.run(handover, run, globals)?;

@@ -5,6 +5,7 @@ use rayon::prelude::*;
 use super::border::Borders;
 use super::globals::Globals;
 use super::runner::Made;
+use super::share::Neighbourhoods;
 use densecloud_cloud::Point;
 use densecloud_geometry::{KdTree, Neighbour, Walk};
 
@@ -15,6 +16,8 @@ const AROUND: usize = 8;
 pub(super) struct Reference {
     pub(super) input: Measured,
     pub(super) borders: Borders,
+    /// How dense the input is about each of its points; none where the whole is to be equally dense.
+    pub(super) neighbourhoods: Option<Neighbourhoods>,
 }
 
 impl Reference {
@@ -22,7 +25,13 @@ impl Reference {
     pub(super) fn new(points: &[Point], spacing: Vec<f32>, globals: &mut Globals) -> Self {
         let input = Measured::new(points, spacing);
         let borders = Borders::of(&input, &mut globals.evenness);
-        Self { input, borders }
+        Self { input, borders, neighbourhoods: None }
+    }
+
+    /// The local spacing at the input points `nearest` to others; none where the whole is to be equally dense.
+    pub(super) fn local(&self, nearest: &[u32]) -> Option<Vec<f32>> {
+        let spacing = &self.neighbourhoods.as_ref()?.spacing;
+        Some(nearest.iter().map(|&i| spacing[i as usize]).collect())
     }
 }
 

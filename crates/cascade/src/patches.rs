@@ -4,9 +4,9 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 
-use super::{CascadeError, CascadeOptions, Observer, Stage};
+use super::{CascadeError, CascadeOptions, Observer, Stage, share};
 use densecloud_cloud::Point;
-use densecloud_geometry::{KdTree, Neighbour, Rng, Walk, farthest_point_sampling};
+use densecloud_geometry::{KdTree, Neighbour, Rng, Walk};
 
 /// Neighbours that a point's spacing is measured to: the ring around it on an even surface, and some.
 const SPACING_NEIGHBOURS: usize = 8;
@@ -35,10 +35,11 @@ pub struct Patches {
 
 impl Patches {
     /// About `overlap * n / patch_size` patches of the `patch_size` nearest points to seeds chosen
-    /// by farthest point sampling, plus what it takes to cover every point. A cloud no larger than
+    /// by farthest point sampling, in the `local` spacing where that is given, plus what it takes to cover every point. A cloud no larger than
     /// a patch is one patch.
     pub(super) fn cover(
         points: &[Point],
+        local: Option<&[f32]>,
         patch_size: usize,
         settings: &CascadeOptions,
         random: &mut Rng,
@@ -53,7 +54,7 @@ impl Patches {
         } else {
             let count = (settings.overlap * points.len() as f64 / patch_size as f64).ceil() as usize;
             let first = random.below(points.len() as u64) as usize;
-            farthest_point_sampling(points, count.clamp(1, points.len()), first)
+            share::sample(points, local, count.clamp(1, points.len()), first)
         };
         if observer.cancelled() {
             return Err(CascadeError::Cancelled);
@@ -209,7 +210,7 @@ mod tests {
 
     fn cover(points: &[Point], overlap: f64) -> Patches {
         let settings = CascadeOptions { overlap, ..CascadeOptions::default() };
-        Patches::cover(points, 32, &settings, &mut Rng::new(1), 0, &Silent).unwrap()
+        Patches::cover(points, None, 32, &settings, &mut Rng::new(1), 0, &Silent).unwrap()
     }
 
     #[test]
@@ -251,7 +252,7 @@ mod tests {
         let points = cloud(500);
         for (inner, at_least) in [(0.0, 0), (0.5, 16), (1.0, 32)] {
             let settings = CascadeOptions { inner, ..CascadeOptions::default() };
-            let patches = Patches::cover(&points, 32, &settings, &mut Rng::new(1), 0, &Silent).unwrap();
+            let patches = Patches::cover(&points, None, 32, &settings, &mut Rng::new(1), 0, &Silent).unwrap();
             let mut seen = vec![false; points.len()];
             for p in 0..patches.count() {
                 let kept: Vec<usize> = patches.kept(p).collect();

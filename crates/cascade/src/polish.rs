@@ -14,10 +14,11 @@ use super::anchors::Anchors;
 use super::balance::{SURPLUS, Shares, balanced};
 use super::globals::{PolishGlobals, once};
 use super::measured::{Measured, Reference};
+use super::share::sample;
 use super::{CascadeError, Observer, check_count};
 use densecloud_cloud::Point;
 use densecloud_geometry::{
-    KdTree, Neighbour, Reach, Rng, Walk, cell_area, farthest_point_sampling, normal, project_to_surface,
+    KdTree, Neighbour, Reach, Rng, Walk, cell_area, indices, normal, project_to_surface,
 };
 
 /// Neighbours that a point shares midpoints with: the ring around it, and some.
@@ -57,9 +58,11 @@ pub(super) struct Sizes {
     pub(super) size: usize,
 }
 
-/// Chooses points spread evenly over what the unit `made`, ordered as by farthest point sampling.
+/// Chooses points spread over what the unit `made`, evenly in the `local` spacing at each where that is given, ordered as by
+/// farthest point sampling.
 pub(super) fn polish(
     made: &[Point],
+    local: Option<Vec<f32>>,
     Sizes { full, size }: Sizes,
     reference: &Reference,
     globals: &mut PolishGlobals,
@@ -69,11 +72,13 @@ pub(super) fn polish(
     let go_on = || if observer.cancelled() { Err(CascadeError::Cancelled) } else { Ok(()) };
 
     // From here on neighbours in space are neighbours in memory.
-    let (tree, made) = KdTree::in_order(made);
+    let (tree, made, order) = KdTree::sorted(made);
+    let local: Option<Vec<f32>> = local.map(|local| order.iter().map(|&i| local[i as usize]).collect());
+    drop(order);
     let anchors = Anchors::new(&reference.input, &made, &tree, &mut globals.trust);
-    let Candidates { points: candidates, areas } = if made.len() > full + full / 10 {
+    let Candidates { points: candidates, local, areas } = if made.len() > full + full / 10 {
         let first = random.below(made.len() as u64) as usize;
-        let mut kept = farthest_point_sampling(&made, full, first);
+        let mut kept = sample(&made, local.as_deref(), full, first);
         kept.par_sort_unstable();
         let sample: Vec<Point> = kept.iter().map(|&i| made[i as usize]).collect();
         Candidates::of(&KdTree::new(&sample), &sample, size, reference, anchors.trust, globals)
@@ -84,7 +89,8 @@ pub(super) fn polish(
     go_on()?;
     let first = random.below(candidates.len() as u64) as usize;
     let count = ((SURPLUS * size as f64) as usize).min(candidates.len());
-    let sampled = farthest_point_sampling(&candidates, count, first);
+    let sampled = sample(&candidates, local.as_deref(), count, first);
+    drop(local);
     let shares = Shares { input: &reference.input, areas: &areas, trust: anchors.trust };
     let order = balanced(&candidates, &sampled, size, shares, globals);
 
@@ -107,7 +113,10 @@ struct Candidates {
     /// Midpoints of the sample, and the input points that they fall short of: the more of these, the more the input is
     /// trusted.
     points: Vec<Point>,
-    /// For each input point, the area of the surface that is nearest to it.
+    /// For each the spacing of the input there; none where the whole is to be equally dense.
+    local: Option<Vec<f32>>,
+    /// For each input point, the area of the surface that is nearest to it; where a local spacing is given, in squares of
+    /// that.
     areas: Vec<f32>,
 }
 
@@ -117,7 +126,7 @@ impl Candidates {
         tree: &KdTree,
         sample: &[Point],
         size: usize,
-        Reference { input, borders }: &Reference,
+        Reference { input, borders, neighbourhoods }: &Reference,
         trust: f32,
         globals: &mut PolishGlobals,
     ) -> Self {
@@ -133,24 +142,31 @@ impl Candidates {
         let (rings, cells) = surroundings(tree, sample, cell);
         let mut areas = vec![0.0; input.points.len()];
         cells.iter().for_each(|&(nearest, area)| areas[nearest as usize] += area);
-        let mut points = midpoints(sample, &rings);
+        let local = neighbourhoods.as_ref().map(|n| n.spacing_of(&areas, &mut globals.usual_point));
+        if let Some(local) = &local {
+            areas.iter_mut().zip(local).for_each(|(area, spacing)| *area /= spacing * spacing);
+        }
+        let of_sample =
+            local.as_ref().map(|local| cells.iter().map(|&(i, _)| local[i as usize]).collect::<Vec<_>>());
+        let (mut points, mut spacings) = midpoints(sample, &rings, of_sample.as_deref());
         let midpoints_made = once(&mut globals.midpoints, || points.len());
         let reached_by = if midpoints_made < size { ReachedBy::SampleToo } else { ReachedBy::Midpoints };
         if reached_by == ReachedBy::SampleToo {
             points.extend_from_slice(sample);
+            spacings.extend(of_sample.iter().flatten());
         }
         let short = SHORT * (1.0 - trust);
-        points.extend(fallen_short_of(
-            &Sample { tree, points: sample, rings: &rings },
-            reached_by,
-            input,
-            short,
-        ));
+        for i in fallen_short_of(&Sample { tree, points: sample, rings: &rings }, reached_by, input, short) {
+            points.push(input.points[i as usize]);
+            spacings.extend(local.as_ref().map(|local| local[i as usize]));
+        }
         if points.len() < size {
             // All is rough: whatever lies between neighbours, which is at least 3.5 times the sample.
-            points.extend(midpoints(sample, &nearest_rings(tree, sample)));
+            let (more, their) = midpoints(sample, &nearest_rings(tree, sample), of_sample.as_deref());
+            points.extend(more);
+            spacings.extend(their);
         }
-        Self { points, areas }
+        Self { points, local: local.map(|_| spacings), areas }
     }
 }
 
@@ -285,9 +301,9 @@ enum ReachedBy {
 
 /// The input points that no candidate comes nearer to than `short` of their spacing: what was measured must not vanish.
 /// Looks at the candidates around the nearest points of the sample only.
-fn fallen_short_of(sample: &Sample<'_>, by: ReachedBy, input: &Measured, short: f32) -> Vec<Point> {
+fn fallen_short_of(sample: &Sample<'_>, by: ReachedBy, input: &Measured, short: f32) -> Vec<u32> {
     let Sample { tree, points, rings } = *sample;
-    let far = |found: &mut Vec<Neighbour>, (p, spacing): (&Point, &f32)| {
+    let far = |found: &mut Vec<Neighbour>, ((p, spacing), i): ((&Point, &f32), u32)| {
         let limit = (short * spacing).powi(2);
         let near = |q: Point| (0..3).map(|a| (q[a] - p[a]).powi(2)).sum::<f32>() <= limit;
         tree.nearest(*p, AROUND, found);
@@ -296,23 +312,26 @@ fn fallen_short_of(sample: &Sample<'_>, by: ReachedBy, input: &Measured, short: 
             by == ReachedBy::SampleToo && near(q)
                 || rings[n.index as usize].others().iter().any(|&j| near(middle(q, points[j as usize])))
         });
-        (!reached).then_some(*p)
+        (!reached).then_some(i)
     };
-    input.points.par_iter().zip(&input.spacing).map_init(Vec::new, far).flatten_iter().collect()
+    let all = input.points.par_iter().zip(&input.spacing).zip(indices(input.points.len()).into_par_iter());
+    all.map_init(Vec::new, far).flatten_iter().collect()
 }
 
 fn middle(p: Point, q: Point) -> Point {
     std::array::from_fn(|a| 0.5 * (p[a] + q[a]))
 }
 
-/// Of every point and its ring; each pair once.
-fn midpoints(points: &[Point], rings: &[Ring]) -> Vec<Point> {
-    let of = |i: usize| {
+/// Of every point and its ring, each pair once; and the mean of their local spacings, where there are such.
+fn midpoints(points: &[Point], rings: &[Ring], local: Option<&[f32]>) -> (Vec<Point>, Vec<f32>) {
+    let pairs = |i: usize| {
         let others = rings[i].others().iter().map(|&j| j as usize);
-        let first = others.filter(move |&j| i < j || !rings[j].others().contains(&(i as u32)));
-        first.map(move |j| middle(points[i], points[j]))
+        others.filter(move |&j| i < j || !rings[j].others().contains(&(i as u32))).map(move |j| (i, j))
     };
-    (0..points.len()).into_par_iter().flat_map_iter(of).collect()
+    let all = || (0..points.len()).into_par_iter().flat_map_iter(pairs);
+    let middles = all().map(|(i, j)| middle(points[i], points[j])).collect();
+    let spacings = local.map(|local| all().map(|(i, j)| 0.5 * (local[i] + local[j])).collect());
+    (middles, spacings.unwrap_or_default())
 }
 
 #[cfg(test)]
@@ -321,6 +340,7 @@ mod tests {
     use crate::Silent;
     use crate::globals::Globals;
     use densecloud_cloud::Frame;
+    use densecloud_geometry::farthest_point_sampling;
 
     fn reference(points: &[Point], spacing: f32) -> Reference {
         let frame = Frame::fit(&[[0.0; 3], [1.0; 3]]).unwrap();
@@ -329,7 +349,7 @@ mod tests {
 
     fn polished(made: &[Point], full: usize, size: usize, reference: &Reference) -> Vec<Point> {
         let (mut globals, mut random) = (PolishGlobals::default(), Rng::new(5));
-        polish(made, Sizes { full, size }, reference, &mut globals, &mut random, &Silent).unwrap()
+        polish(made, None, Sizes { full, size }, reference, &mut globals, &mut random, &Silent).unwrap()
     }
 
     /// A square of unit side, at some height.
@@ -339,7 +359,7 @@ mod tests {
     }
 
     fn all_midpoints(points: &[Point]) -> Vec<Point> {
-        midpoints(points, &rings(&KdTree::new(points), points))
+        midpoints(points, &rings(&KdTree::new(points), points), None).0
     }
 
     /// Coefficient of variation of nearest-neighbour distances.

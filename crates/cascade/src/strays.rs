@@ -26,6 +26,13 @@ pub(super) struct StrayLimits {
     pub(super) least: usize,
 }
 
+/// Points that may be sampled.
+pub(super) struct Kept {
+    pub(super) points: Vec<Point>,
+    /// For each the nearest input point.
+    pub(super) nearest: Vec<u32>,
+}
+
 /// The points that may be sampled: those not moved further than the displacement and not further from the input than the
 /// distance, in multiples of what nine in ten points keep to (even input is covered to 0.8 of its spacing everywhere,
 /// random input to 1.4: the cloud itself has to say). Past an open border nothing has been measured, and a unit puts
@@ -37,9 +44,9 @@ pub(super) struct StrayLimits {
 pub(super) fn without_strays(
     made: &[Made],
     limits: &StrayLimits,
-    Reference { input, borders }: &Reference,
+    Reference { input, borders, .. }: &Reference,
     globals: &mut LevelGlobals,
-) -> Vec<Point> {
+) -> Kept {
     let distances = input.distances(made);
     let usual = once(&mut globals.usual_distance, || usual_distance(distances.iter().map(|d| d.0)));
     // Where most points lie on input points, nothing can be told.
@@ -58,7 +65,9 @@ pub(super) fn without_strays(
     };
     let strayed: Vec<f32> = made.par_iter().zip(&distances).map_init(Vec::new, strayed).collect();
     let most = once(&mut globals.most_strayed, || most_strayed(&strayed, limits.wanted, limits.least));
-    made.iter().zip(&strayed).filter(|(_, s)| **s <= most).map(|(m, _)| m.at).collect()
+    let kept = made.iter().zip(&distances).zip(&strayed).filter(|(_, s)| **s <= most);
+    let (points, nearest) = kept.map(|((m, (_, nearest)), _)| (m.at, *nearest)).unzip();
+    Kept { points, nearest }
 }
 
 #[cfg(test)]
@@ -91,7 +100,7 @@ mod tests {
         input: &Reference,
     ) -> Vec<Point> {
         let limits = StrayLimits { displacement, distance, wanted, least };
-        without_strays(made, &limits, input, &mut LevelGlobals::default())
+        without_strays(made, &limits, input, &mut LevelGlobals::default()).points
     }
 
     #[test]

@@ -40,6 +40,53 @@ fn every_ratio_is_exact() {
     assert_eq!(by_count.positions.len(), 777);
 }
 
+/// Random points of squares, each with its corner on the diagonal, its side and its number of points.
+fn squares(of: &[(f64, f64, usize)], seed: u64) -> Vec<Position> {
+    let mut random = densecloud_geometry::Rng::new(seed);
+    let mut points = Vec::new();
+    for &(corner, side, n) in of {
+        points.extend((0..n).map(|_| [corner + side * random.f64(), corner + side * random.f64(), 0.0]));
+    }
+    points
+}
+
+#[test]
+fn every_neighbourhood_gets_its_share() {
+    // Two surfaces of a hundred to one in area, with as many points each; and a dense spot within a thin surface.
+    let two = squares(&[(0.0, 1.0, 800), (3.0, 10.0, 800)], 1);
+    let spot = squares(&[(0.0, 10.0, 3000), (4.0, 0.5, 400)], 2);
+    let inside = |positions: &[Position], corner: f64, side: f64| {
+        let within = |c: &f64| (corner - 0.02 * side..corner + 1.02 * side).contains(c);
+        positions.iter().filter(|p| p[..2].iter().all(within)).count() as f64
+    };
+    for (cloud, corner, side) in [(two, 0.0, 1.0), (spot, 4.0, 0.5)] {
+        let given = |spread| {
+            let options = CascadeOptions { spread, ..CascadeOptions::default() };
+            upsample(&cloud, Target::Ratio(4.0), &options, &runner(), &Silent).unwrap().positions
+        };
+        let before = inside(&cloud, corner, side);
+        let (each, even) = (given(Spread::Neighbourhood), given(Spread::Area));
+        let times = inside(&each, corner, side) / before;
+        assert!((3.2..5.0).contains(&times), "{times} times the points");
+        // By area, the dense part has less than it had.
+        assert!(inside(&even, corner, side) < before, "{} of {before}", inside(&even, corner, side));
+        // Any prefix has its share of both, too.
+        let share = inside(&each[..each.len() / 4], corner, side) / (each.len() / 4) as f64;
+        let whole = inside(&each, corner, side) / each.len() as f64;
+        assert!((share / whole - 1.0).abs() < 0.15, "{share} of a prefix, {whole} of the whole");
+    }
+}
+
+#[test]
+fn a_plane_stays_a_plane() {
+    // Random points to the border of a floor, tilted so that no coordinate is constant.
+    let floor =
+        squares(&[(0.0, 40.0, 1600)], 3).into_iter().map(|[x, y, _]| [x, y, 0.25 * x - 0.5 * y + 7.0]);
+    let dense = run(&floor.collect::<Vec<_>>(), 4.0, 2).unwrap().positions;
+    let worst = dense.iter().map(|p| (p[2] - (0.25 * p[0] - 0.5 * p[1] + 7.0)).abs()).fold(0.0, f64::max);
+    assert!(worst < 1e-4, "{worst}");
+}
+
 #[test]
 fn the_number_of_threads_changes_nothing() {
     let cloud = sphere(700, 2);
@@ -316,7 +363,7 @@ fn a_runner_takes_whole_levels_and_keeps_its_own_table() {
 fn a_table_of_another_runner_is_refused() {
     let points: Vec<_> = sphere(40, 1).iter().map(|p| p.map(|c| c as f32)).collect();
     let options = CascadeOptions::default();
-    let patches = Patches::cover(&points, 32, &options, &mut Rng::new(1), 0, &Silent).unwrap();
+    let patches = Patches::cover(&points, None, 32, &options, &mut Rng::new(1), 0, &Silent).unwrap();
     let level = LevelInput { unit: 1, points: &points, patches: &patches, skip: None, want_features: false };
     let foreign = FeatureTable::new(7_u8);
     let refused = runner().run_level(&level, Some(&foreign), &Silent).err().unwrap().to_string();

@@ -10,7 +10,8 @@ pub struct Plane {
     /// Of the points, along the normal, and along two axes across it: ascending.
     pub variances: [f64; 3],
     axes: [[f64; 3]; 2],
-    normal: [f64; 3],
+    /// Of unit length.
+    pub normal: [f64; 3],
 }
 
 impl Plane {
@@ -27,6 +28,11 @@ impl Plane {
     /// Where `point` lies on the plane, seen from `origin`.
     pub fn flat(&self, origin: Point, point: Point) -> [f64; 2] {
         self.axes.map(|axis| along(axis, origin, point))
+    }
+
+    /// How far `point` lies off the parallel plane through `origin`, along [`Self::normal`].
+    pub fn height(&self, origin: Point, point: Point) -> f64 {
+        along(self.normal, origin, point)
     }
 }
 

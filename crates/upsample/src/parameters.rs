@@ -80,7 +80,7 @@ impl fmt::Display for Value {
 }
 
 /// Every option, in the order of help texts.
-pub static PARAMETERS: [Parameter; 19] = [
+pub static PARAMETERS: [Parameter; 20] = [
     Parameter {
         name: "ratio",
         short: Some('r'),
@@ -270,6 +270,19 @@ pub static PARAMETERS: [Parameter; 19] = [
             Ok(())
         },
         tell: |options| Some(Value::Switch(!options.cascade.polish)),
+    },
+    Parameter {
+        name: "spread",
+        short: None,
+        value: Some("HOW"),
+        help: "`neighbourhood`: every place becomes denser by the same factor; `area`: the whole becomes equally dense, \
+               and dense places may lose points",
+        topic: Topic::Cascade,
+        read: |options, text| {
+            options.cascade.spread = text.parse()?;
+            Ok(())
+        },
+        tell: |options| Some(Value::Text(options.cascade.spread.to_string())),
     },
     Parameter {
         name: "attributes",

@@ -145,6 +145,7 @@ pub(super) fn run(args: &EvaluateArgs) -> Result<(), CliError> {
                 max_displacement: settings.max_displacement,
                 max_distance: settings.max_distance,
                 polish: settings.polish,
+                spread: settings.spread.to_string(),
             })
         }
         Some(_) => None,

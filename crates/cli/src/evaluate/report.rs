@@ -55,6 +55,8 @@ pub(crate) struct CascadeSettings {
     pub(crate) max_distance: f64,
     /// Whether the last level was made even and smooth.
     pub(crate) polish: bool,
+    /// Where the points went: by neighbourhood, or by area.
+    pub(crate) spread: String,
 }
 
 /// What was scored.

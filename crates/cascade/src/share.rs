@@ -1,0 +1,254 @@
+//! Each neighbourhood its share: how dense the input is about each of its points.
+//!
+//! A result is as many times denser than its input everywhere, or as dense everywhere. In between lies chance: a random
+//! sample's density varies from place to place though its surface does not. So density is measured on several scales, and
+//! on each only what exceeds chance counts.
+
+use std::fmt;
+use std::str::FromStr;
+
+use rayon::prelude::*;
+
+use super::globals::{once, usual_logarithm};
+use densecloud_cloud::Point;
+use densecloud_geometry::{KdTree, Walk, farthest_point_sampling, scaled_farthest_point_sampling};
+
+/// Where the points of a result go.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum Spread {
+    /// Each neighbourhood becomes denser by the same factor, evenly within it.
+    #[default]
+    Neighbourhood,
+    /// The whole surface becomes equally dense: dense places of an uneven cloud may lose points.
+    Area,
+}
+
+impl fmt::Display for Spread {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Neighbourhood => "neighbourhood",
+            Self::Area => "area",
+        })
+    }
+}
+
+impl FromStr for Spread {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text {
+            "neighbourhood" => Ok(Self::Neighbourhood),
+            "area" => Ok(Self::Area),
+            _ => Err(format!("{text:?}; there are `neighbourhood` and `area`")),
+        }
+    }
+}
+
+/// Points of a neighbourhood that is counted at once.
+const REGION: usize = 32;
+/// Every so many points one stands for them on the next coarser scale.
+const COARSER: usize = 8;
+/// Points of the coarser scale that tell what is usual about a point.
+const NEAREST: usize = 4;
+/// Logarithms of areas that differ from what is usual about them by less than this differ by chance, on the finest scale:
+/// three deviations of a random sample. Each coarser scale counts more points, and has [`FINER`] times this.
+const CHANCE: f32 = 0.35;
+const FINER: f32 = 0.5;
+/// The share of a region's disc that lies past a border, for the distance of its points' centroid from its middle in
+/// radii: at a straight border the centroid is 0.42 radii away, and half of the disc is empty.
+const EMPTY: f32 = 1.18;
+/// The least share of a disc that is full, in a corner.
+const LEAST_FULL: f32 = 0.25;
+
+/// The neighbourhood of each point of the cascade's input, on all scales.
+pub(super) struct Neighbourhoods {
+    scale: Scale,
+    /// For each point the root of the area that it has, by the number of points about it.
+    pub(super) spacing: Vec<f32>,
+}
+
+/// The neighbourhoods of some points.
+struct Scale {
+    /// [`REGION`] or fewer indices for each point.
+    members: Vec<u32>,
+    row: usize,
+    /// None where there are no more points than a neighbourhood has.
+    coarser: Option<Box<Coarser>>,
+}
+
+/// A part of the points, as dense everywhere in proportion.
+struct Coarser {
+    /// Their indices.
+    of: Vec<u32>,
+    /// For each point of the finer scale the nearest of these.
+    nearest: Vec<[u32; NEAREST]>,
+    scale: Scale,
+}
+
+impl Neighbourhoods {
+    /// Trees and neighbours of `points`: O(n log n); 170 bytes a point.
+    pub(super) fn of(points: &[Point], usual: &mut Option<f32>) -> Self {
+        let scale = Scale::of(points);
+        let area = |(i, near): (usize, &[u32])| area(points, points[i], near);
+        let areas: Vec<f32> = scale.members.par_chunks_exact(scale.row).enumerate().map(area).collect();
+        let spacing = scale.spacing(&areas, usual);
+        Self { scale, spacing }
+    }
+
+    /// The local spacing by the `areas` that the points have: the root of their mean over a neighbourhood as large as it takes
+    /// to tell it from chance.
+    pub(super) fn spacing_of(&self, areas: &[f32], usual: &mut Option<f32>) -> Vec<f32> {
+        self.scale.spacing(areas, usual)
+    }
+}
+
+impl Scale {
+    fn of(points: &[Point]) -> Self {
+        let tree = KdTree::new(points);
+        let row = REGION.min(points.len());
+        let mut members = vec![0_u32; row * points.len()];
+        for (i, near) in nearest_of::<REGION>(&tree, points, tree.order()) {
+            members[i as usize * row..][..row].copy_from_slice(&near[..row]);
+        }
+        let coarser = (points.len() >= COARSER * REGION).then(|| Box::new(Coarser::of(&tree, points)));
+        Self { members, row, coarser }
+    }
+
+    fn spacing(&self, areas: &[f32], usual: &mut Option<f32>) -> Vec<f32> {
+        self.logarithms(areas, CHANCE, usual).into_par_iter().map(|area| (0.5 * area).exp()).collect()
+    }
+
+    /// The logarithms of the areas, without what is `chance`: `usual` is that of the whole.
+    fn logarithms(&self, areas: &[f32], chance: f32, usual: &mut Option<f32>) -> Vec<f32> {
+        let mean = |members: &[u32]| {
+            let sum: f32 = members.iter().map(|&i| areas[i as usize]).sum();
+            (sum / members.len() as f32).max(f32::MIN_POSITIVE)
+        };
+        let means: Vec<f32> = self.members.par_chunks_exact(self.row).map(mean).collect();
+        let Some(coarser) = &self.coarser else {
+            return vec![once(usual, || usual_logarithm(&means)); means.len()];
+        };
+        let theirs: Vec<f32> = coarser.of.iter().map(|&i| means[i as usize]).collect();
+        let usual = coarser.scale.logarithms(&theirs, FINER * chance, usual);
+        let kept = |(mean, nearest): (&f32, &[u32; NEAREST])| {
+            let usual = nearest.iter().map(|&i| usual[i as usize]).sum::<f32>() / NEAREST as f32;
+            let off = mean.ln() - usual;
+            usual + off * (1.0 - (chance / off).powi(2)).max(0.0)
+        };
+        means.par_iter().zip(&coarser.nearest).map(kept).collect()
+    }
+}
+
+impl Coarser {
+    fn of(tree: &KdTree, points: &[Point]) -> Self {
+        let of: Vec<u32> = tree.order().iter().copied().step_by(COARSER).collect();
+        let few: Vec<Point> = of.iter().map(|&i| points[i as usize]).collect();
+        let mut nearest = vec![[0; NEAREST]; points.len()];
+        for (i, near) in nearest_of::<NEAREST>(&KdTree::new(&few), points, tree.order()) {
+            nearest[i as usize] = near;
+        }
+        Self { of, nearest, scale: Scale::of(&few) }
+    }
+}
+
+/// The `K` points of `tree` nearest to each of `points`, in that `order`; where there are fewer, the first one again.
+fn nearest_of<const K: usize>(tree: &KdTree, points: &[Point], order: &[u32]) -> Vec<(u32, [u32; K])> {
+    let nearest = |walk: &mut Walk, &i: &u32| {
+        tree.nearest_next(points[i as usize], K, walk);
+        let mut near = [walk.found.first().map_or(0, |n| n.index); K];
+        near.iter_mut().zip(&walk.found).for_each(|(place, n)| *place = n.index);
+        (i, near)
+    };
+    order.par_iter().map_init(Walk::default, nearest).collect()
+}
+
+/// The area that each of `near` has about `p` if they lie on a surface.
+fn area(points: &[Point], p: Point, near: &[u32]) -> f32 {
+    let count = near.len() as f32;
+    let (mut centre, mut reach) = ([0.0_f32; 3], 0.0_f32);
+    for &i in near {
+        let to: Point = std::array::from_fn(|a| points[i as usize][a] - p[a]);
+        reach = reach.max(to.iter().map(|c| c * c).sum());
+        centre = std::array::from_fn(|a| centre[a] + to[a] / count);
+    }
+    let off = (centre.iter().map(|c| c * c).sum::<f32>() / reach.max(f32::MIN_POSITIVE)).sqrt();
+    let full = (1.0 - EMPTY * off).max(LEAST_FULL);
+    std::f32::consts::PI * reach * full / count
+}
+
+/// Farthest point sampling in the spacing at each point, or evenly where there is none.
+pub(super) fn sample(points: &[Point], spacing: Option<&[f32]>, count: usize, first: usize) -> Vec<u32> {
+    match spacing {
+        Some(spacing) => scaled_farthest_point_sampling(points, spacing, count, first),
+        None => farthest_point_sampling(points, count, first),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use densecloud_geometry::Rng;
+
+    /// Random points of a square with that corner and side.
+    fn square(n: usize, corner: [f32; 2], side: f32, random: &mut Rng) -> Vec<Point> {
+        let mut at = |a: usize| corner[a] + side * random.f64() as f32;
+        (0..n).map(|_| [at(0), at(1), 0.0]).collect()
+    }
+
+    fn mean(values: &[f32]) -> f32 {
+        values.iter().sum::<f32>() / values.len() as f32
+    }
+
+    /// The largest deviation from the mean, as a share of it.
+    fn variation(values: &[f32]) -> f32 {
+        let usual = mean(values);
+        values.iter().map(|v| (v / usual - 1.0).abs()).fold(0.0, f32::max)
+    }
+
+    #[test]
+    fn chance_is_no_density() {
+        for seed in 0..5 {
+            let mut random = Rng::new(seed);
+            let spacing = Neighbourhoods::of(&square(2000, [0.0; 2], 1.0, &mut random), &mut None).spacing;
+            let varied = spacing.iter().filter(|s| (**s / mean(&spacing) - 1.0).abs() > 0.03).count();
+            // Corners look thinner than they are.
+            assert!(varied < 100, "{varied} of 2000 spacings vary, seed {seed}");
+        }
+    }
+
+    #[test]
+    fn density_is_told_from_chance() {
+        let mut random = Rng::new(3);
+        let mut points = square(800, [0.0; 2], 1.0, &mut random);
+        points.extend(square(800, [3.0; 2], 10.0, &mut random));
+        let spacing = Neighbourhoods::of(&points, &mut None).spacing;
+        let ratio = mean(&spacing[800..]) / mean(&spacing[..800]);
+        assert!((9.0..10.5).contains(&ratio), "{ratio} of 10");
+        // A dense part no larger than the finest neighbourhood.
+        points.truncate(800);
+        points.extend(square(60, [0.5; 2], 0.03, &mut random));
+        let spacing = Neighbourhoods::of(&points, &mut None).spacing;
+        let ratio = mean(&spacing[..800]) / mean(&spacing[800..]);
+        assert!(ratio > 3.5, "{ratio} of 9");
+    }
+
+    #[test]
+    fn areas_of_nothing_and_few_points_give_a_spacing() {
+        for n in [1, 2, 20, 255, 256, 300] {
+            let points = square(n, [0.0; 2], 1.0, &mut Rng::new(n as u64));
+            let neighbourhoods = Neighbourhoods::of(&points, &mut None);
+            for spacing in [&neighbourhoods.spacing, &neighbourhoods.spacing_of(&vec![0.0; n], &mut None)] {
+                assert!(spacing.iter().all(|s| s.is_finite() && *s > 0.0), "{n} points");
+            }
+            assert!(variation(&neighbourhoods.spacing_of(&vec![2.0; n], &mut None)) < 1e-5);
+        }
+    }
+
+    #[test]
+    fn a_name_is_read_as_it_is_told() {
+        for spread in [Spread::Neighbourhood, Spread::Area] {
+            assert_eq!(spread.to_string().parse(), Ok(spread));
+        }
+        assert!("even".parse::<Spread>().expect_err("an error").contains("`area`"));
+    }
+}
