@@ -76,7 +76,11 @@ fn the_reference_file_with_all_of_it_in_force_is_the_defaults() {
     let text: String = reference()
         .lines()
         // What is not set by default has an example that need not exist.
-        .filter(|line| !["#model = ", "#data-dir = ", "#keys = "].iter().any(|none| line.starts_with(none)))
+        .filter(|line| {
+            !["#model = ", "#data-dir = ", "#keys = ", "#base-path = "]
+                .iter()
+                .any(|none| line.starts_with(none))
+        })
         .map(|line| {
             format!("{}\n", line.strip_prefix('#').filter(|rest| rest.contains(" = ")).unwrap_or(line))
         })
@@ -167,11 +171,29 @@ fn the_systemd_unit_sets_what_there_is_and_waits_for_the_drain() {
 #[test]
 fn the_container_is_started_with_what_there_is() {
     let file = read("Dockerfile");
-    let command = file.lines().find_map(|line| line.strip_prefix("CMD ")).expect("a command");
-    let words: Vec<String> = serde_json::from_str(command).expect("JSON");
-    check_command("the Dockerfile", words.iter().map(String::as_str));
-    let exposed = file.lines().find_map(|line| line.strip_prefix("EXPOSE ")).expect("a port");
-    assert!(words.windows(2).any(|two| two == ["--port", exposed]), "{words:?} on {exposed}");
+    let after = |name: &str| {
+        let lines = file.lines().filter_map(|line| line.strip_prefix(name));
+        lines.map(str::trim).collect::<Vec<_>>()
+    };
+    let words = |command: &str| -> Vec<String> { serde_json::from_str(command).expect("JSON") };
+    let [command] = after("CMD ")[..] else { panic!("one command") };
+    check_command("the Dockerfile", words(command).iter().map(String::as_str));
+    let set: Vec<&str> = after("ENV ").into_iter().flat_map(|line| line.split(' ')).collect();
+    check_variables("the Dockerfile", set.iter().copied());
+    let value =
+        |name: &str| set.iter().find_map(|one| one.strip_prefix(name)?.strip_prefix('=')).expect(name);
+    assert_eq!(after("EXPOSE "), [value("DENSECLOUD_PORT")]);
+    // The folder of the jobs belongs to the user who runs the server, also as a new volume.
+    let (user, folder) = (after("USER ")[0], value("DENSECLOUD_DATA_DIR"));
+    assert_eq!(after("VOLUME "), [folder]);
+    assert!(file.contains(&format!("install -d -o {user} -m 0700 {folder}")), "{folder} of {user}");
+    let [entry] = after("ENTRYPOINT ")[..] else { panic!("one entry") };
+    let (_, check) = file.split_once("HEALTHCHECK ").expect("a check");
+    let (_, check) = check.split_once("CMD ").expect("its command");
+    assert_eq!(
+        words(check.lines().next().expect("a line")),
+        [&words(entry)[..], &["healthcheck".into()]].concat()
+    );
 }
 
 /// The program at work, with a folder for jobs, ended with the test.

@@ -83,6 +83,37 @@ def test_without_outputs_and_with_a_version(client, sphere):
     assert result.get_output("points")["parameters"]["binary_data_size"] == 2001 * 24
 
 
+def test_without_parameters_there_are_four_times_the_points(client, sphere, expected):
+    _, normals = sphere
+    source = normals.astype("f4")
+    dense = expected(source, "--ratio", 4)
+
+    for one in [source, source[np.newaxis]]:
+        for binary in [True, False]:
+            result = client.infer("densecloud", [tensor(one, binary)])
+            assert np.array_equal(result.as_numpy("points"), dense)
+    hints = {"priority": 1, "sequence_id": 7, "sequence_start": True, "sequence_end": True, "timeout": 5_000_000}
+    assert np.array_equal(client.infer("densecloud", [tensor(source)], **hints).as_numpy("points"), dense)
+
+
+def test_the_repository_and_the_statistics_are_as_tritons(client, sphere):
+    _, normals = sphere
+    index = client.get_model_repository_index()
+    assert index == [{"name": "densecloud", "version": "1", "state": "READY", "reason": ""}]
+    for change in [client.load_model, client.unload_model]:
+        with pytest.raises(InferenceServerException) as error:
+            change("densecloud")
+        assert error.value.status() == "409"
+    before = client.get_inference_statistics("densecloud")["model_stats"][0]
+    client.infer("densecloud", [tensor(normals)], parameters={"ratio": 2})
+    for name, version in [("", ""), ("densecloud", ""), ("densecloud", "1")]:
+        after = client.get_inference_statistics(name, version)["model_stats"][0]
+        assert after["inference_count"] == before["inference_count"] + 1
+        assert after["inference_stats"]["success"]["count"] == after["inference_count"]
+        work = [totals["inference_stats"]["compute_infer"]["ns"] for totals in (before, after)]
+        assert work[1] > work[0]
+
+
 @pytest.mark.parametrize("algorithm", ["gzip", "deflate"])
 def test_requests_may_be_compressed(client, sphere, algorithm):
     _, normals = sphere
@@ -116,7 +147,8 @@ def test_several_at_a_time(server, sphere, expected):
     ("model", "shape", "options", "status", "text"),
     [
         ("densecloud", (100, 3), {"parameters": {"ratio": 65}}, "400", "ratio"),
-        ("densecloud", (100, 3), {}, "400", "missing"),
+        ("densecloud", (100, 3), {"parameters": {"ration": 2}}, "400", "unknown"),
+        ("densecloud", (2, 50, 3), {}, "400", "2 clouds"),
         ("densecloud", (100, 4), {"parameters": {"ratio": 2}}, "400", "[N, 3]"),
         ("densecloud", (5001, 3), {"parameters": {"ratio": 2}}, "413", "--max-points-in"),
         ("densecloud", (5, 3), {"parameters": {"ratio": 2}}, "422", "5"),

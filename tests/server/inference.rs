@@ -156,6 +156,142 @@ fn outputs_are_asked_for_by_name_and_each_says_how_it_comes() {
 }
 
 #[test]
+fn bodies_that_other_servers_take_are_taken() {
+    let server = Server::start(&Scripted::new(), Config::default());
+    let points = cloud(300);
+    let expected = bytes(&dense(points.clone(), Target::Ratio(2.0), 0), "FP32");
+    type Edit = fn(&mut Value);
+    let cases: [Edit; 9] = [
+        |_| {},
+        |b| b["inputs"][0]["parameters"] = Value::Null,
+        |b| b["outputs"] = Value::Null,
+        |b| b["id"] = Value::Null,
+        |b| b["inputs"][0]["parameters"] = json!({ "content_type": "np" }),
+        |b| b["parameters"]["content_type"] = "np".into(),
+        |b| b["outputs"] = json!([{ "name": "points", "parameters": { "content_type": "np" } }]),
+        |b| b["inputs"][0]["shape"] = json!([1, 300, 3]),
+        |b| {
+            b["inputs"][0]["shape"] = json!([1, 300, 3]);
+            let rows: Vec<Value> =
+                b["inputs"][0]["data"].as_array().unwrap().chunks(3).map(|row| json!(row)).collect();
+            b["inputs"][0]["data"] = json!([rows]);
+        },
+    ];
+    for (i, edit) in cases.into_iter().enumerate() {
+        let mut body = Body::of(&points, "FP32", false, json!({ "ratio": 2 }));
+        edit(&mut body.json);
+        let (json, found) = read(&body.post(&server));
+        assert!(found == expected, "case {i}");
+        assert_eq!(json["outputs"][0]["shape"], json!([600, 3]), "case {i}");
+    }
+    let mut binary = Body::of(&points, "FP32", true, json!({ "ratio": 2 }));
+    binary.json["inputs"][0]["shape"] = json!([1, 300, 3]);
+    assert!(read(&binary.post(&server)).1 == expected);
+    // Four times the points where nothing says how many.
+    let expected = bytes(&dense(points.clone(), Target::Ratio(4.0), 7), "FP64");
+    for parameters in [Value::Null, json!({}), json!({ "ratio": null }), json!({ "seed": 7 })] {
+        let mut body = Body::of(&points, "FP64", false, parameters);
+        let seeded = body.json["parameters"]["seed"].is_null();
+        let (json, found) = read(&body.post(&server));
+        assert_eq!(json["outputs"][0]["shape"], json!([1200, 3]));
+        assert!(seeded || found == expected);
+        body.json.as_object_mut().unwrap().remove("parameters");
+        assert_eq!(read(&body.post(&server)).0["outputs"][0]["shape"], json!([1200, 3]));
+    }
+}
+
+#[test]
+fn the_models_are_listed_and_none_is_loaded_or_unloaded() {
+    let backend = Scripted::new();
+    backend.shut();
+    let sizes = EngineConfig { threads: 2, ..Default::default() };
+    let server = Server::start_cold(&backend, sizes, Config::default());
+    let index = |body: &str| {
+        let reply = server.post("/v2/repository/index", body.as_bytes());
+        assert_eq!(reply.status, 200, "{body:?}: {}", reply.text());
+        serde_json::from_slice::<Value>(&reply.body).expect("JSON")
+    };
+    let all = index("");
+    assert_eq!((all[0]["name"].as_str(), all[0]["version"].as_str()), (Some("densecloud"), Some("1")));
+    assert_eq!(all[0]["state"], "LOADING");
+    assert!(all[0]["reason"].as_str().expect("text").contains("being loaded"));
+    assert_eq!(index(r#"{"ready":true}"#), json!([]));
+    backend.open();
+    server.wait_for_ready();
+    for body in ["", " ", "{}", "null", r#"{"ready":null}"#, r#"{"ready":true}"#, r#"{"repository_name":""}"#]
+    {
+        let expected = json!([{ "name": "densecloud", "version": "1", "state": "READY", "reason": "" }]);
+        assert_eq!(index(body), expected, "{body:?}");
+    }
+    for body in ["[]", "{", r#"{"ready":7}"#] {
+        assert_eq!(error(&server.post("/v2/repository/index", body.as_bytes())).0, 400, "{body:?}");
+    }
+    let models: Value = serde_json::from_slice(&server.get("/v2/models").body).expect("JSON");
+    assert_eq!(models, json!({ "models": ["densecloud"] }));
+    for verb in ["load", "unload"] {
+        let (status, why) = error(&server.post(&format!("/v2/repository/models/densecloud/{verb}"), b""));
+        assert_eq!((status, why.contains("part of this server")), (409, true), "{why}");
+        assert_eq!(error(&server.post(&format!("/v2/repository/models/other/{verb}"), b"")).0, 404);
+    }
+}
+
+#[test]
+fn statistics_count_what_was_done_and_how_long_it_took() {
+    let backend = Scripted::new();
+    let server = Server::start(&backend, Config::default());
+    let statistics = |path: &str| -> Value {
+        let reply = server.get(path);
+        assert_eq!(reply.status, 200, "{path}: {}", reply.text());
+        let json: Value = serde_json::from_slice(&reply.body).expect("JSON");
+        assert_eq!(json["model_stats"].as_array().map(Vec::len), Some(1), "{path}");
+        json["model_stats"][0].clone()
+    };
+    let paths = ["/v2/models/stats", "/v2/models/densecloud/stats", "/v2/models/densecloud/versions/1/stats"];
+    for path in paths {
+        let before = statistics(path);
+        assert_eq!((&before["name"], &before["version"]), (&json!("densecloud"), &json!("1")));
+        assert_eq!((&before["inference_count"], &before["last_inference"]), (&json!(0), &json!(0)));
+        assert_eq!(before["batch_stats"], json!([]));
+    }
+    for _ in 0..2 {
+        assert_eq!(Body::plain().post(&server).status, 200);
+    }
+    let mut wrong = Body::plain();
+    wrong.json["parameters"]["ratio"] = 99.into();
+    assert_eq!(wrong.post(&server).status, 400);
+    backend.shut();
+    let mut leaves = server.connect();
+    leaves.send(&Body::plain().request(INFER));
+    server.wait_for_work();
+    drop(leaves);
+    wait_until("it has left", || statistics(paths[0])["inference_stats"]["fail"]["count"] == 2);
+    backend.open();
+    for path in paths {
+        let after = statistics(path);
+        assert_eq!((&after["inference_count"], &after["execution_count"]), (&json!(2), &json!(2)));
+        // This century.
+        assert!(after["last_inference"].as_u64().expect("a time") > 946_684_800_000);
+        let stats = &after["inference_stats"];
+        for (name, count, takes_time) in [
+            ("success", 2, true),
+            ("fail", 2, true),
+            ("queue", 2, false),
+            ("compute_input", 2, true),
+            ("compute_infer", 2, true),
+            ("compute_output", 2, false),
+            ("cache_hit", 0, false),
+        ] {
+            assert_eq!(stats[name]["count"], count, "{name}");
+            assert!(stats[name]["ns"].as_u64().expect("a number") > 0 || !takes_time, "{name}: {after}");
+        }
+        assert_eq!(after["batch_stats"][0]["batch_size"], 1);
+        assert_eq!(after["batch_stats"][0]["compute_infer"], stats["compute_infer"]);
+    }
+    assert_eq!(error(&server.get("/v2/models/other/stats")).0, 404);
+    assert_eq!(error(&server.get("/v2/models/densecloud/versions/2/stats")).0, 404);
+}
+
+#[test]
 fn a_version_may_be_named_and_an_id_be_absent() {
     let server = Server::start(&Scripted::new(), Config::default());
     let mut body = Body::plain();
@@ -175,6 +311,16 @@ fn what_was_done_to_the_input_is_told() {
     let (json, _) = read(&reply);
     assert_eq!(json["outputs"][0]["shape"], json!([200, 3]));
     assert!(json["parameters"]["warnings"].as_str().expect("a warning").contains("NaN"));
+    // As Python writes it in JSON, and as JavaScript does.
+    for literal in ["NaN", "-Infinity", "null"] {
+        let body = Body::of(&cloud(101), "FP64", false, json!({ "ratio": 2 })).json.to_string();
+        let (start, rest) = body.split_once("\"data\":[").expect("data");
+        let (_, rest) = rest.split_once(',').expect("a number");
+        let reply = server.post(INFER, format!("{start}\"data\":[{literal},{rest}").as_bytes());
+        let (json, _) = read(&reply);
+        assert_eq!(json["outputs"][0]["shape"], json!([200, 3]), "{literal}");
+        assert!(json["parameters"]["warnings"].as_str().expect("a warning").contains("NaN"), "{literal}");
+    }
     // A quarter of a metre is the step between two 32-bit floats there.
     let far: Vec<Position> = cloud(100).iter().map(|p| p.map(|c| 100.0 * c + 4e6)).collect();
     let (json, _) = read(&Body::of(&far, "FP32", true, json!({ "ratio": 2 })).post(&server));
@@ -195,7 +341,9 @@ fn the_server_and_its_model_describe_themselves() {
         serde_json::from_slice(&reply.body).expect("JSON")
     };
     assert_eq!(get("/v2")["name"], "densecloud");
-    assert_eq!(get("/v2")["extensions"][0], "binary_tensor_data");
+    let extensions =
+        ["binary_tensor_data", "model_configuration", "model_repository", "parameters", "statistics"];
+    assert_eq!(get("/v2")["extensions"], json!(extensions));
     assert_eq!(get("/v2/health/live"), json!({ "live": true }));
     assert_eq!(get("/v2/health/ready"), json!({ "ready": true }));
     for model in ["/v2/models/densecloud", "/v2/models/densecloud/versions/1"] {
@@ -236,14 +384,14 @@ fn limits() -> Limits {
 fn each_kind_of_bad_request_has_its_status_and_says_why() {
     let server = Server::start(&Scripted::new(), Config { limits: limits(), ..Config::default() });
     type Edit = fn(&mut Body);
-    let cases: [(Edit, u16, &str); 31] = [
-        (|b| b.json["parameters"] = json!({}), 400, "ratio: missing"),
+    let cases: [(Edit, u16, &str); 33] = [
         (|b| b.json["parameters"] = json!({ "ratio": 65 }), 400, "ratio"),
         (|b| b.json["parameters"] = json!({ "ratio": "x" }), 400, "ratio"),
         (|b| b.json["parameters"] = json!({ "ratio": [4] }), 400, "invalid type"),
         (|b| b.json["parameters"] = json!({ "ratio": 2, "points": 500 }), 400, "give one of"),
         (|b| b.json["parameters"] = json!({ "ratio": 2, "colour": 1 }), 400, "colour: unknown"),
-        (|b| b.json["parameters"] = json!({ "ratio": 2, "sequence_id": 1 }), 400, "sequence_id: unknown"),
+        (|b| b.json["parameters"] = json!({ "ration": 2 }), 400, "ration: unknown"),
+        (|b| b.json["parameters"] = json!({ "colour": [1] }), 400, "colour: unknown"),
         (|b| b.json["parameters"] = json!({ "ratio": 2, "attributes": "red:drop" }), 400, "unknown"),
         (|b| b.json = json!([]), 400, "JSON"),
         (|b| b.json = json!({ "parameters": { "ratio": 2 } }), 400, "inputs"),
@@ -254,6 +402,12 @@ fn each_kind_of_bad_request_has_its_status_and_says_why() {
         (|b| b.json["inputs"][0]["datatype"] = "FP64".into(), 400, "take 2400 bytes"),
         (|b| b.json["inputs"][0]["shape"] = json!([3, 100]), 400, "[N, 3]"),
         (|b| b.json["inputs"][0]["shape"] = json!([99, 3]), 400, "take 1188 bytes"),
+        (|b| b.json["inputs"][0]["shape"] = json!([2, 50, 3]), 400, "2 clouds"),
+        (
+            |b| b.json["inputs"][0]["parameters"]["shared_memory_region"] = "x".into(),
+            400,
+            "shared_memory_region is not supported",
+        ),
         (|b| b.json["inputs"][0]["data"] = json!([1, 2, 3]), 400, "both"),
         (|b| b.json["outputs"] = json!([{ "name": "normals" }]), 400, "unknown output"),
         (|b| b.json["outputs"] = json!([{ "name": "points" }, { "name": "points" }]), 400, "2 outputs"),

@@ -12,6 +12,7 @@ use crate::support::{Client, PATIENCE, PLY, Reply, Scripted, Server, cloud, enco
 fn impatient() -> Config {
     let mut config = Config::default();
     config.timeouts.head = Duration::from_secs(1);
+    config.timeouts.keep_alive = Duration::from_secs(1);
     config.timeouts.stall = Duration::from_secs(1);
     config
 }
@@ -39,6 +40,26 @@ fn a_connection_without_a_whole_head_is_closed() {
     let mut client = server.connect();
     client.send(b"GET /healthz HTTP/1.1\r\nhost: x\r\n\r\n");
     assert!(Reply::parse(&client.rest()).is_some(), "answered, kept open a while, then closed");
+}
+
+#[test]
+fn an_idle_connection_has_a_time_of_its_own_and_a_slow_head_after_it_the_heads() {
+    let mut config = impatient();
+    // Until the end of the test: so what closes the connection is not this.
+    config.timeouts.keep_alive = Duration::from_secs(600);
+    let server = Server::start(&Scripted::new(), config);
+    let ask = b"GET /healthz HTTP/1.1\r\nhost: x\r\n\r\n";
+    let mut kept = server.connect();
+    kept.send(ask);
+    assert!(kept.some().starts_with(b"HTTP/1.1 200"));
+    // Others come and go for longer than a head may take.
+    let mut slow = server.connect();
+    slow.send(b"GET /healthz HTTP/1.1\r\n");
+    slow.rest();
+    kept.send(ask);
+    assert!(kept.some().starts_with(b"HTTP/1.1 200"), "still open");
+    kept.send(&ask[..9]);
+    assert_eq!(kept.rest(), b"", "a head that does not come to its end is not waited for");
 }
 
 #[test]

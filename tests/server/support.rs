@@ -246,6 +246,11 @@ impl Client {
         self.0.write_all(bytes).is_ok()
     }
 
+    /// Closes the sending side: nothing more will come, and the answer is still read.
+    pub(crate) fn close_sending(&self) {
+        self.0.shutdown(std::net::Shutdown::Write).unwrap();
+    }
+
     pub(crate) fn send_post(&mut self, target: &str, body: &[u8]) {
         self.send_request("POST", target, "", body);
     }

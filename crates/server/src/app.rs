@@ -16,9 +16,10 @@ use crate::admission::budget::Budget;
 use crate::admission::client;
 use crate::admission::parsing::Parsing;
 use crate::config::Config;
-use crate::connection::{compress, cors, record};
+use crate::connection::{compress, cors, head, prefix, record};
 use crate::http::readiness::Readiness;
 use crate::http::{openapi, upsample};
+use crate::inference::statistics::Statistics;
 use crate::metrics::Metrics;
 use crate::problem::Problem;
 use crate::route::{self, Route, delete, get, post};
@@ -31,6 +32,8 @@ pub(super) struct App {
     pub(super) engine: Engine,
     pub(super) config: Config,
     pub(super) metrics: Metrics,
+    /// Of requests of the Open Inference Protocol.
+    pub(super) statistics: Statistics,
     pub(super) readiness: Readiness,
     pub(super) budget: Budget,
     /// None where the server has no folder for them.
@@ -50,6 +53,7 @@ impl App {
         Ok(Self {
             jobs,
             metrics: Metrics::new(&config.model)?,
+            statistics: Statistics::default(),
             readiness: Readiness::new(),
             budget: Budget::new(config.limits.held_bytes),
             asking: Arc::new(Semaphore::new(jobs::ASKING)),
@@ -109,7 +113,9 @@ pub(super) fn router(app: Arc<App>) -> Router {
         .method_not_allowed_fallback(|| async { Problem::MethodNotAllowed })
         .layer(middleware::from_fn_with_state(Arc::clone(&app), client::identify))
         .layer(middleware::from_fn_with_state(Arc::clone(&app), compress::compress))
-        .layer(middleware::from_fn_with_state(Arc::clone(&app), cors::keep_out));
+        .layer(middleware::from_fn_with_state(Arc::clone(&app), prefix::find))
+        .layer(middleware::from_fn_with_state(Arc::clone(&app), cors::keep_out))
+        .layer(middleware::from_fn(head::check));
     let routes = match cors::layer(&app.config.cors) {
         Some(cors) => routes.layer(cors),
         None => routes,

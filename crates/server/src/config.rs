@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use crate::admission::client::Access;
 use crate::connection::cors::CorsOrigin;
+use crate::connection::prefix::BasePath;
 use crate::http::download::result_bytes;
 use densecloud_backends::ModelName;
 use densecloud_formats::Format;
@@ -27,6 +28,8 @@ pub struct Config {
     pub jobs: Option<Settings>,
     /// The sites whose pages may use the server from a browser (`--cors-origin`); none by default.
     pub cors: Vec<CorsOrigin>,
+    /// The path under which a proxy offers the server (`--base-path`); none by default.
+    pub base_path: BasePath,
     /// Which model answers, for `/metrics`.
     pub model: ModelInfo,
     /// Lines that the log has lost, for `/metrics`: whoever writes the log counts them.
@@ -76,8 +79,10 @@ pub struct Limits {
 /// How long the server waits for whom.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Timeouts {
-    /// For the head of a connection's next request (`--head-timeout`).
+    /// For the head of a request, from its first byte, or the connection's beginning (`--head-timeout`).
     pub head: Duration,
+    /// Between a response and the next request of a connection (`--keep-alive-timeout`).
+    pub keep_alive: Duration,
     /// For the next piece of an upload, and for a reader to take the next piece of a result
     /// (`--stall-timeout`).
     pub stall: Duration,
@@ -145,13 +150,14 @@ impl Config {
     pub fn validate(&self) -> Result<(), ConfigError> {
         let Limits { body_bytes, points_in, points_out, held_bytes, connections, client_connections: _ } =
             self.limits;
-        let Timeouts { head, stall, request, lead: _, drain: _ } = self.timeouts;
+        let Timeouts { head, keep_alive, stall, request, lead: _, drain: _ } = self.timeouts;
         for (setting, zero) in [
             ("--max-body-bytes", body_bytes == 0),
             ("--max-points-in", points_in == 0),
             ("--max-points-out", points_out == 0),
             ("--max-connections", connections == 0),
             ("--head-timeout", head.is_zero()),
+            ("--keep-alive-timeout", keep_alive.is_zero()),
             ("--stall-timeout", stall.is_zero()),
             ("--request-timeout", request.is_zero()),
             ("--jobs-running", self.jobs.as_ref().is_some_and(|jobs| jobs.running == 0)),
@@ -195,6 +201,7 @@ impl Default for Timeouts {
     fn default() -> Self {
         Self {
             head: Duration::from_secs(30),
+            keep_alive: Duration::from_secs(75),
             stall: Duration::from_secs(30),
             request: Duration::from_secs(600),
             lead: Duration::ZERO,

@@ -45,6 +45,7 @@ pub use admission::client::Access;
 pub use admission::keys::{Keys, KeysError};
 pub use config::{Config, ConfigError, Limits, LinesLost, ModelInfo, Timeouts};
 pub use connection::cors::CorsOrigin;
+pub use connection::prefix::BasePath;
 
 use app::App;
 use densecloud_engine::{Engine, EngineError};

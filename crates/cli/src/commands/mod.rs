@@ -3,10 +3,12 @@
 //! Exit codes: 0 done, 1 the work failed, 64 the command or a setting was wrong (`EX_USAGE`).
 
 mod connection;
+mod data_folder;
 mod engine_args;
 mod error;
 mod evaluate;
 mod files;
+mod healthcheck;
 mod inspect;
 mod job;
 mod log;
@@ -51,6 +53,7 @@ enum Command {
     Inspect(inspect::InspectArgs),
     Serve(Box<serve_args::ServeArgs>),
     Job(job::JobArgs),
+    Healthcheck(healthcheck::HealthcheckArgs),
     Evaluate(evaluate::EvaluateArgs),
     Sample(sample::SampleArgs),
     Render(render::RenderArgs),
@@ -115,5 +118,6 @@ fn run(command: Command, matches: &ArgMatches) -> Result<(), CliError> {
             files::print(&settings::page(&Arguments::command(), matches))
         }
         Command::Job(args) => job::run(&args),
+        Command::Healthcheck(args) => healthcheck::run(&args),
     }
 }

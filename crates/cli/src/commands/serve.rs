@@ -1,7 +1,6 @@
 //! `densecloud serve`: the server, from its first line in the log to its end.
 
 use std::io::{self, IsTerminal};
-use std::path::Path;
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -15,7 +14,7 @@ use tracing_subscriber::EnvFilter;
 use super::log::{Log, failed_in_json};
 use super::serve_args::{Checked, LogFormat, ServeArgs};
 use super::signals::{Hangups, Signals};
-use super::{CliError, engine_args, memory};
+use super::{CliError, data_folder, engine_args, memory};
 use densecloud_backends::Model;
 use densecloud_engine::Engine;
 use densecloud_server::{Config, Keys, ModelInfo};
@@ -26,15 +25,6 @@ const BLOCKING_THREADS: usize = 16;
 
 /// How long the end waits for a reader of the log.
 const LAST_LINES: Duration = Duration::from_secs(2);
-
-/// Makes a folder, where it is missing, that nobody else on the machine can look into.
-fn private_folder(folder: &Path) -> io::Result<()> {
-    let mut builder = std::fs::DirBuilder::new();
-    builder.recursive(true);
-    #[cfg(unix)]
-    std::os::unix::fs::DirBuilderExt::mode(&mut builder, 0o700);
-    builder.create(folder)
-}
 
 /// Files and sockets that are open beside connections: the database, results of jobs that are being read.
 const OTHER_DESCRIPTORS: u64 = 128;
@@ -88,10 +78,7 @@ fn begin(args: &ServeArgs, log: &Log) -> Result<(), CliError> {
     let Checked { mut config, model, filter } = args.check()?;
     config.lines_lost = log.lost().clone();
     if let Some(jobs) = &config.jobs {
-        private_folder(&jobs.folder).map_err(|error| {
-            let folder = jobs.folder.display();
-            CliError::Usage(format!("--data-dir {folder}: {error}; give it a folder that can be written to"))
-        })?;
+        data_folder::prepare(&jobs.folder)?;
     }
     start_log(filter, args.log_format, log)?;
     raise_descriptors(config.limits.connections);

@@ -13,7 +13,7 @@ use super::settings::SettingsArgs;
 use super::{CliError, memory};
 use densecloud_backends::Model;
 use densecloud_engine::EngineConfig;
-use densecloud_server::{Access, Config, CorsOrigin, Keys, Limits, LinesLost, ModelInfo, Timeouts};
+use densecloud_server::{Access, BasePath, Config, CorsOrigin, Keys, Limits, LinesLost, ModelInfo, Timeouts};
 
 /// Points out that a service takes at a time.
 const QUEUE_POINTS: u64 = 50_000_000;
@@ -96,10 +96,15 @@ pub(super) struct ServeArgs {
         default_value_t = Limits::default().client_connections)]
     client_connections: usize,
 
-    /// How long a connection may take to send the head of its next request
+    /// How long a connection may take to send a head, from its first byte, or its own beginning
     #[arg(long, env = "DENSECLOUD_HEAD_TIMEOUT", value_name = "SECONDS", value_parser = seconds,
         default_value = "30")]
     head_timeout: Duration,
+
+    /// How long a connection may stay open between a response and its next request
+    #[arg(long, env = "DENSECLOUD_KEEP_ALIVE_TIMEOUT", value_name = "SECONDS", value_parser = seconds,
+        default_value = "75")]
+    keep_alive_timeout: Duration,
 
     /// How long an upload may stand still, or a client not read its result
     #[arg(long, env = "DENSECLOUD_STALL_TIMEOUT", value_name = "SECONDS", value_parser = seconds,
@@ -129,6 +134,10 @@ pub(super) struct ServeArgs {
     /// several with commas. Without it, none
     #[arg(long, env = "DENSECLOUD_CORS_ORIGIN", value_name = "ORIGIN", value_delimiter = ',')]
     cors_origin: Vec<CorsOrigin>,
+
+    /// Path under which a proxy offers the server, such as /clouds: links begin with it, and requests may
+    #[arg(long, env = "DENSECLOUD_BASE_PATH", value_name = "PATH")]
+    base_path: Option<BasePath>,
 
     /// What is logged to standard error: error, warn, info, debug, or a filter like `info,hyper=debug`
     #[arg(long, env = "DENSECLOUD_LOG", value_name = "FILTER", default_value = "info")]
@@ -223,6 +232,7 @@ impl ServeArgs {
             },
             timeouts: Timeouts {
                 head: self.head_timeout,
+                keep_alive: self.keep_alive_timeout,
                 stall: self.stall_timeout,
                 request: self.request_timeout,
                 lead: self.drain_lead,
@@ -231,6 +241,7 @@ impl ServeArgs {
             access: self.access.access(),
             jobs: self.jobs.settings(),
             cors: self.cors_origin.clone(),
+            base_path: self.base_path.clone().unwrap_or_default(),
             model: ModelInfo::default(),
             lines_lost: LinesLost::default(),
         }
@@ -303,7 +314,8 @@ struct AccessArgs {
     )]
     open: Vec<Open>,
 
-    /// Take the last hop of X-Forwarded-For as the client's address: only behind a proxy that sets it
+    /// Take the last hop of X-Forwarded-For as the client's address, and X-Forwarded-Prefix as --base-path: only
+    /// behind a proxy that sets them
     #[arg(long, env = "DENSECLOUD_TRUST_FORWARDED")]
     trust_forwarded: bool,
 }
@@ -381,7 +393,7 @@ fn memory(text: &str) -> Result<Memory, String> {
 const LONGEST: Duration = Duration::from_secs(10 * 365 * 24 * 60 * 60);
 
 /// A duration in seconds, decimals allowed.
-fn seconds(text: &str) -> Result<Duration, String> {
+pub(super) fn seconds(text: &str) -> Result<Duration, String> {
     text.parse()
         .ok()
         .and_then(|seconds| Duration::try_from_secs_f64(seconds).ok())
@@ -427,6 +439,7 @@ mod tests {
             "--max-connections=5",
             "--client-connections=6",
             "--head-timeout=0.5",
+            "--keep-alive-timeout=6.5",
             "--stall-timeout=7",
             "--request-timeout=8",
             "--drain-lead=9",
@@ -443,6 +456,7 @@ mod tests {
         };
         assert_eq!(limits, expected);
         assert_eq!(timeouts.head, Duration::from_millis(500));
+        assert_eq!(timeouts.keep_alive, Duration::from_millis(6500));
         assert_eq!(timeouts.stall, Duration::from_secs(7));
         assert_eq!(timeouts.request, Duration::from_secs(8));
         assert_eq!(timeouts.lead, Duration::from_secs(9));

@@ -25,6 +25,8 @@ use tower::ServiceExt;
 use crate::admission::client::network;
 use crate::config::{Config, Timeouts};
 use crate::connection::activity::Activity;
+use crate::connection::prefix::BasePath;
+use crate::connection::socket::Socket;
 
 /// What a request knows of its connection.
 #[derive(Debug, Clone)]
@@ -68,8 +70,8 @@ pub(crate) async fn accept(
                         tracing::debug!(%peer, "its address has too many connections open");
                         continue;
                     };
-                    let timeouts = config.timeouts.clone();
-                    let served = serve(stream, peer, router.clone(), timeouts, is_closing.clone());
+                    let (timeouts, base) = (config.timeouts.clone(), config.base_path.clone());
+                    let served = serve(stream, peer, router.clone(), base, timeouts, is_closing.clone());
                     connections.spawn(async move {
                         served.await;
                         drop((place, own));
@@ -126,6 +128,7 @@ async fn serve(
     stream: TcpStream,
     peer: SocketAddr,
     router: Router,
+    base: BasePath,
     timeouts: Timeouts,
     mut closing: watch::Receiver<bool>,
 ) {
@@ -136,14 +139,17 @@ async fn serve(
     let service = service_fn(move |request: Request<Incoming>| {
         let mut request = request.map(Body::new);
         request.extensions_mut().insert(connection.clone());
+        base.strip(request.uri_mut());
         let router = router.clone();
         async move { Ok::<_, Infallible>(router.oneshot(request).await.unwrap_or_else(|never| match never {})) }
     });
+    let socket = Socket::new(stream, activity.clone());
     let mut builder = Builder::new(TokioExecutor::new());
     builder
         .http1()
-        .timer(TokioTimer::new())
-        .header_read_timeout(timeouts.head)
+        // `silence` and `gone` see to what hyper would do here: close what is slow, and what the client has left.
+        .header_read_timeout(None)
+        .half_close(true)
         .max_buf_size(BUFFER)
         .http2()
         .timer(TokioTimer::new())
@@ -151,12 +157,15 @@ async fn serve(
         .max_send_buf_size(BUFFER)
         .keep_alive_interval(PING)
         .keep_alive_timeout(PING);
-    let mut served = pin!(builder.serve_connection(TokioIo::new(stream), service));
+    let mut served = pin!(builder.serve_connection(TokioIo::new(socket.clone()), service));
+    let mut gone = pin!(socket.gone());
     let mut silence = pin!(activity.silence(&timeouts));
     let mut close = pin!(closed(&mut closing));
     let mut open = true;
     loop {
         tokio::select! {
+            // What has arrived is read first; whether the client is still there is asked after that.
+            biased;
             result = served.as_mut() => {
                 if let Err(error) = result {
                     tracing::debug!(%peer, error, "connection broke");
@@ -165,6 +174,10 @@ async fn serve(
             }
             () = silence.as_mut() => {
                 tracing::debug!(%peer, "connection fell silent");
+                return;
+            }
+            () = gone.as_mut() => {
+                tracing::debug!(%peer, "the client has left");
                 return;
             }
             () = close.as_mut(), if open => {

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use tokio::sync::watch;
-use tokio::time::{Instant, timeout, timeout_at};
+use tokio::time::{Instant, timeout_at};
 
 use crate::config::Timeouts;
 
@@ -16,11 +16,25 @@ use crate::config::Timeouts;
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Activity(Arc<watch::Sender<Requests>>);
 
-#[derive(Debug, Default)]
+#[derive(Debug)]
 struct Requests {
     /// Requests whose response is not over, by number.
     in_flight: BTreeMap<u64, InFlight>,
     next: u64,
+    /// Since when there is none.
+    idle: Instant,
+    /// Since when the head of the next one is waited for: the first from the connection's beginning, the others from
+    /// their first byte.
+    head: Option<Instant>,
+    /// Whether the client has closed its sending side.
+    half_closed: bool,
+}
+
+impl Default for Requests {
+    fn default() -> Self {
+        let now = Instant::now();
+        Self { in_flight: BTreeMap::new(), next: 0, idle: now, head: Some(now), half_closed: false }
+    }
 }
 
 #[derive(Default)]
@@ -52,27 +66,70 @@ impl Activity {
             number = state.next;
             state.next += 1;
             state.in_flight.insert(number, InFlight::default());
+            state.head = None;
         });
         Busy { activity: self.clone(), number }
     }
 
-    /// Resolves when the connection should be closed: no request for [`Timeouts::head`], or no
+    /// Bytes have arrived on HTTP/1: of a head, where no request is in flight, and then this is how many there were
+    /// before.
+    pub(crate) fn received(&self) -> Option<u64> {
+        let mut before = None;
+        self.0.send_if_modified(|state| {
+            if !state.in_flight.is_empty() {
+                return false;
+            }
+            before = Some(state.next);
+            let begins = state.head.is_none();
+            state.head.get_or_insert_with(Instant::now);
+            begins
+        });
+        before
+    }
+
+    /// The client has closed its sending side.
+    pub(crate) fn half_closed(&self) {
+        self.0.send_modify(|state| state.half_closed = true);
+    }
+
+    /// Whether it has; then only what is sent to it shows whether it is still there.
+    pub(crate) fn is_half_closed(&self) -> bool {
+        self.0.borrow().half_closed
+    }
+
+    /// Whether no request is in flight.
+    pub(crate) fn is_idle(&self) -> bool {
+        self.0.borrow().in_flight.is_empty()
+    }
+
+    /// Whether one request is in flight, and nothing of its response is.
+    pub(crate) fn is_waited_for(&self) -> bool {
+        let state = self.0.borrow();
+        state.in_flight.len() == 1 && state.in_flight.values().all(|request| request.taken.is_none())
+    }
+
+    /// Requests so far.
+    pub(crate) fn count(&self) -> u64 {
+        self.0.borrow().next
+    }
+
+    /// Resolves when the connection should be closed: no whole head for [`Timeouts::head`] after its first byte or the
+    /// connection's beginning, nothing at all for [`Timeouts::keep_alive`] after a response, or no
     /// progress for [`Timeouts::stall`] in sending whatever it is busy with. A response without progress beside other
     /// requests in flight ends alone: they do not keep it alive, and it does not end them.
     ///
-    /// hyper's own header timer starts only once it knows the protocol, so it never fires for a
-    /// connection that sends nothing, or half of HTTP/2's preface; and it has none for a stalled
+    /// hyper's own header timer knows one time for both, starts only once it knows the protocol, so that it never
+    /// fires for a connection that sends nothing, or half of HTTP/2's preface, and has none for a stalled
     /// reader. While a request is being received or worked on, its handler has the timers.
     pub(crate) async fn silence(&self, timeouts: &Timeouts) {
         let mut state = self.0.subscribe();
         loop {
-            let (idle, stalled_at) = {
+            let (idle, end) = {
                 let now = state.borrow_and_update();
-                (now.in_flight.is_empty(), now.oldest().and_then(|oldest| oldest.checked_add(timeouts.stall)))
+                (now.in_flight.is_empty(), now.end(timeouts))
             };
             let changed = state.changed();
-            let quiet = match stalled_at {
-                _ if idle => timeout(timeouts.head, changed).await.is_err(),
+            let quiet = match end {
                 Some(at) => timeout_at(at, changed).await.is_err(),
                 None => {
                     // Cannot fail: `self` holds the sender.
@@ -104,6 +161,15 @@ impl Activity {
 }
 
 impl Requests {
+    /// Until when something must happen.
+    fn end(&self, timeouts: &Timeouts) -> Option<Instant> {
+        match self.head {
+            _ if !self.in_flight.is_empty() => self.oldest()?.checked_add(timeouts.stall),
+            Some(begun) => begun.checked_add(timeouts.head),
+            None => self.idle.checked_add(timeouts.keep_alive),
+        }
+    }
+
     /// When the response that has waited longest for its reader last moved.
     fn oldest(&self) -> Option<Instant> {
         self.in_flight.values().filter_map(|request| request.taken).min()
@@ -145,6 +211,7 @@ impl Drop for Busy {
     fn drop(&mut self) {
         self.activity.0.send_modify(|state| {
             state.in_flight.remove(&self.number);
+            state.idle = Instant::now();
         });
     }
 }
@@ -153,15 +220,45 @@ impl Drop for Busy {
 mod tests {
     use std::sync::Mutex;
 
+    use tokio::time::{sleep, timeout};
+
     use super::*;
 
     fn timeouts() -> Timeouts {
-        Timeouts { head: Duration::from_secs(20), stall: Duration::from_secs(10), ..Timeouts::default() }
+        let [head, keep_alive, stall] = [20, 75, 10].map(Duration::from_secs);
+        Timeouts { head, keep_alive, stall, ..Timeouts::default() }
     }
 
     /// Whether the connection stays open for long.
     async fn stays(activity: &Activity) -> bool {
         timeout(timeouts().head * 5, activity.silence(&timeouts())).await.is_err()
+    }
+
+    /// Seconds until it is closed.
+    async fn closes(activity: &Activity) -> u64 {
+        let start = Instant::now();
+        activity.silence(&timeouts()).await;
+        start.elapsed().as_secs()
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_head_has_its_time_from_its_first_byte_and_an_idle_connection_another() {
+        let activity = Activity::default();
+        assert_eq!(activity.received(), Some(0));
+        sleep(Duration::from_secs(5)).await;
+        // Each byte further changes nothing.
+        activity.received();
+        assert_eq!(closes(&activity).await, 15, "the first, from the connection's beginning");
+        let busy = activity.begin();
+        assert_eq!(activity.received(), None, "its body");
+        drop(busy);
+        sleep(Duration::from_secs(70)).await;
+        assert_eq!(activity.received(), Some(1));
+        sleep(Duration::from_secs(15)).await;
+        activity.received();
+        assert_eq!(closes(&activity).await, 5, "the second");
+        drop(activity.begin());
+        assert_eq!(closes(&activity).await, 75, "idle");
     }
 
     #[tokio::test(start_paused = true)]
@@ -178,9 +275,7 @@ mod tests {
         drop(busy);
         assert!(stays(&activity).await, "the other is still worked on");
         drop(second);
-        let start = Instant::now();
-        activity.silence(&timeouts()).await;
-        assert_eq!(start.elapsed().as_secs(), timeouts().head.as_secs());
+        assert_eq!(closes(&activity).await, timeouts().keep_alive.as_secs());
     }
 
     #[tokio::test(start_paused = true)]

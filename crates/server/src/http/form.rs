@@ -11,14 +11,16 @@ use multer::{Field, Multipart};
 
 use crate::app::App;
 use crate::connection::decode::Coding;
-use crate::http::query;
 use crate::http::upload::{Arrival, HeaderCheck, Received, Upload};
+use crate::http::{filename, query};
 use crate::problem::Problem;
 
 /// What a request asks for and the cloud that it brought, however it brought them.
 pub(crate) struct Asking {
     pub(crate) options: Options,
     pub(crate) received: Received,
+    /// What the result's name has of the file's, where that has one.
+    pub(crate) name: Option<String>,
 }
 
 /// The field that holds the cloud, where a form has no file.
@@ -45,8 +47,8 @@ impl Asking {
         }
         let options = query::options(uri)?;
         let known = |points| known(points, options.points_out(points));
-        let received = upload.receive(headers, app, &options.reading, known).await?;
-        Ok(Self { options, received })
+        let received = upload.receive_file(headers, app, &options.reading, known).await?;
+        Ok(Self { options, received, name: None })
     }
 
     async fn receive_form(
@@ -80,14 +82,19 @@ impl Asking {
             Ok(Some((piece, upload)))
         });
         let mut form = Multipart::new(pieces, boundary);
-        let mut received = None;
+        let (mut received, mut stem) = (None, None);
         while let Some(field) = form.next_field().await.map_err(malformed)? {
             let name = field.name().unwrap_or_default().to_owned();
-            if name == CLOUD || field.file_name().is_some() {
+            let file = file_name(&field);
+            if name == CLOUD || file.is_some() {
                 if received.is_some() {
                     return Err(Problem::parameter(&name, "a second file; a form has one cloud".into()));
                 }
-                received = Some(receive_file(field, &pairs, &beside, app, &mut known).await?);
+                let cloud = receive_file(field, &pairs, &beside, app, &mut known).await?;
+                // As browsers send it where no file was chosen.
+                if file.as_deref() != Some("") || !cloud.bytes().is_empty() {
+                    (received, stem) = (Some(cloud), file.as_deref().and_then(filename::stem));
+                }
             } else {
                 let value = field.text().await.map_err(malformed)?;
                 add(&mut pairs, name, value)?;
@@ -99,8 +106,15 @@ impl Asking {
                 "missing; the form needs a file, such as curl's -F cloud=@scan.ply".into(),
             )
         })?;
-        Ok(Self { options: query::options_of(&pairs)?, received })
+        Ok(Self { options: query::options_of(&pairs)?, received, name: stem })
     }
+}
+
+/// The name of a field's file, where it has one.
+fn file_name(field: &Field<'_>) -> Option<String> {
+    let disposition = field.headers().get(header::CONTENT_DISPOSITION);
+    let extended = disposition.and_then(|value| filename::extended(value.to_str().ok()?));
+    extended.or_else(|| field.file_name().map(str::to_owned))
 }
 
 /// The content type, where it is a form's.

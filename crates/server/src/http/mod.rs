@@ -10,6 +10,7 @@
 
 pub(crate) mod accepted;
 pub(crate) mod download;
+pub(crate) mod filename;
 pub(crate) mod form;
 pub(crate) mod openapi;
 pub(crate) mod query;

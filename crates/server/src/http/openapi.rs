@@ -12,8 +12,13 @@ mod schema;
 #[cfg(test)]
 mod tests;
 
+use std::borrow::Cow;
+
+use axum::Extension;
 use axum::http::header;
 use axum::response::IntoResponse;
+
+use crate::connection::prefix::Prefix;
 
 const DESCRIPTION: &str = include_str!("../../../../docs/openapi.json");
 const PAGE: &str = include_str!("docs.html");
@@ -22,9 +27,20 @@ const PAGE: &str = include_str!("docs.html");
 const POLICY: &str =
     "default-src 'none'; connect-src 'self'; script-src 'unsafe-inline'; style-src 'unsafe-inline'";
 
+/// Where the description says that the server is at the root.
+const ROOT: &str = "\"url\": \"/\"";
+
 /// `GET /openapi.json`.
-pub(crate) async fn openapi() -> impl IntoResponse {
-    ([(header::CONTENT_TYPE, "application/json")], DESCRIPTION)
+pub(crate) async fn openapi(Extension(prefix): Extension<Prefix>) -> impl IntoResponse {
+    ([(header::CONTENT_TYPE, "application/json")], description_under(&prefix))
+}
+
+/// The description of a server that others see under a prefix, which has nothing that JSON would escape.
+fn description_under(prefix: &Prefix) -> Cow<'static, str> {
+    match prefix.as_str() {
+        "" => DESCRIPTION.into(),
+        prefix => DESCRIPTION.replacen(ROOT, &format!("\"url\": \"{prefix}\""), 1).into(),
+    }
 }
 
 /// `GET /docs`.

@@ -19,6 +19,11 @@ pub(crate) struct Upload {
     body: Body,
     /// Nothing has been read yet, and the client waits for a `100 Continue` before it sends.
     waits: bool,
+    /// Whether it is said to be the fields of a form, as curl says of all that it posts, and nothing that has come so
+    /// far would not be left by its `-d`, which takes line ends and zero bytes out of a file.
+    stripped: bool,
+    /// Whether something has come.
+    begun: bool,
 }
 
 /// A body that has arrived.
@@ -38,7 +43,32 @@ const LINGER_BYTES: usize = 512 << 20;
 
 impl Upload {
     pub(crate) fn new(headers: &HeaderMap, body: Body) -> Self {
-        Self { body, waits: headers.contains_key(header::EXPECT) }
+        let kind = headers.get(header::CONTENT_TYPE).and_then(|kind| kind.to_str().ok()).unwrap_or_default();
+        let kind = kind.split(';').next().unwrap_or_default().trim();
+        let stripped = kind.eq_ignore_ascii_case("application/x-www-form-urlencoded");
+        Self { body, waits: headers.contains_key(header::EXPECT), stripped, begun: false }
+    }
+
+    /// As [`Upload::receive`], for a body that nothing but its own content tells about. Where that was stripped, as no
+    /// cloud of two points can be, this is told instead of what else is wrong with it.
+    ///
+    /// # Errors
+    /// Also [`Problem::Stripped`].
+    pub(crate) async fn receive_file(
+        &mut self,
+        headers: &HeaderMap,
+        app: &App,
+        reading: &Reading,
+        known: impl FnMut(u64) -> Result<(), Problem>,
+    ) -> Result<Received, Problem> {
+        match self.receive(headers, app, reading, known).await {
+            Ok(_) | Err(Problem::UnsupportedFormat(_) | Problem::Malformed(_) | Problem::Interrupted(_))
+                if self.begun && self.stripped =>
+            {
+                Err(Problem::Stripped)
+            }
+            received => received,
+        }
     }
 
     /// Reads the body to its end. Memory grows with what arrives, not with what is claimed. `known` hears
@@ -123,6 +153,8 @@ impl Upload {
                 // Trailers are no part of a cloud.
                 Ok(Some(Ok(frame))) => {
                     if let Ok(data) = frame.into_data() {
+                        self.begun |= !data.is_empty();
+                        self.stripped = self.stripped && !data.iter().any(|byte| b"\n\r\0".contains(byte));
                         return Ok(Some(data));
                     }
                 }

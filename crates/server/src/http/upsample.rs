@@ -20,6 +20,7 @@ use crate::connection::compress::AsIs;
 use crate::connection::record::Points;
 use crate::http::accepted::accepted;
 use crate::http::download::{self, Dense, file_bytes, result_bytes};
+use crate::http::filename;
 use crate::http::form::Asking;
 use crate::http::upload::{Received, Upload};
 use crate::problem::Problem;
@@ -61,16 +62,18 @@ async fn answer(
     ticket.check()?;
     ticket.deadline.enter("of upload");
     let known = |points_in, points_out| ticket.reserve(points_in, points_out);
-    let Asking { mut options, received } = Asking::receive(upload, uri, headers, app, known).await?;
+    let Asking { mut options, received, name } = Asking::receive(upload, uri, headers, app, known).await?;
     options.format = wanted;
     let guess = guess::of_file(received.bytes());
     ticket.guess(guess, options.points_out(guess))?;
     let arrived = (received.bytes().len(), received.took);
     let read = move |app: &App| Ok((UpsampleRequest::read(app, &received, options)?, ()));
-    let (done, ()) = run(app, ticket, arrived, read, |_| {}).await?;
+    let (mut done, ()) = run(app, ticket, arrived, read, |_| {}).await?;
+    done.about.name = name;
     let points = done.points();
     let length = done.format.encoded_len(points.made, &done.dense.attributes, &done.dense.origin);
     let mut headers = done.headers();
+    headers.insert(header::CONTENT_DISPOSITION, done.about.disposition());
     if let Some(length) = length {
         headers.insert(header::CONTENT_LENGTH, length.into());
     }
@@ -113,8 +116,13 @@ impl Done {
     pub(crate) fn headers(&self) -> HeaderMap {
         let mut headers = HeaderMap::new();
         self.about.tell(&mut headers);
-        headers.insert("server-timing", visible(&self.timing.0));
+        headers.insert("server-timing", visible(&self.timing.text));
         headers
+    }
+
+    /// How long a part of the work took.
+    pub(crate) fn took(&self, stage: &str) -> Duration {
+        self.timing.stages.iter().filter(|(name, _)| *name == stage).map(|(_, took)| *took).sum()
     }
 
     pub(crate) fn points(&self) -> Points {
@@ -182,6 +190,9 @@ pub(crate) struct About {
     /// Whether its format is compressed in itself; false of jobs from before this was kept.
     #[serde(default)]
     pub(crate) packed: bool,
+    /// What its file's name has of the upload's.
+    #[serde(default)]
+    pub(crate) name: Option<String>,
 }
 
 impl About {
@@ -194,7 +205,13 @@ impl About {
             provenance: report.provenance.clone(),
             warnings: report.warnings.clone(),
             packed: report.format.is_packed(),
+            name: None,
         }
+    }
+
+    /// The header that says how to save it.
+    pub(crate) fn disposition(&self) -> HeaderValue {
+        filename::disposition(self.name.as_deref(), &self.media_type)
     }
 
     pub(crate) fn tell(&self, headers: &mut HeaderMap) {
@@ -268,14 +285,18 @@ fn visible(text: &str) -> HeaderValue {
 
 /// How long each part took, for `/metrics` and for the `Server-Timing` header, which browsers show.
 #[derive(Default)]
-struct Timing(String);
+struct Timing {
+    stages: Vec<(&'static str, Duration)>,
+    text: String,
+}
 
 impl Timing {
     fn add(&mut self, app: &App, stage: &'static str, took: Duration) {
         app.metrics.stage(stage, took);
-        let comma = if self.0.is_empty() { "" } else { ", " };
+        self.stages.push((stage, took));
+        let comma = if self.text.is_empty() { "" } else { ", " };
         // Writing into a string cannot fail.
-        let _ = write!(self.0, "{comma}{stage};dur={:.1}", took.as_secs_f64() * 1000.0);
+        let _ = write!(self.text, "{comma}{stage};dur={:.1}", took.as_secs_f64() * 1000.0);
     }
 }
 

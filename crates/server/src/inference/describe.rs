@@ -18,8 +18,14 @@ pub(super) async fn server() -> Json<Value> {
     Json(json!({
         "name": "densecloud",
         "version": env!("CARGO_PKG_VERSION"),
-        "extensions": ["binary_tensor_data", "model_configuration", "parameters"],
+        "extensions":
+            ["binary_tensor_data", "model_configuration", "model_repository", "parameters", "statistics"],
     }))
+}
+
+/// `GET /v2/models`.
+pub(super) async fn models() -> Json<Value> {
+    Json(json!({ "models": [MODEL] }))
 }
 
 /// `GET /v2/models/densecloud`. The protocol has room for one type of number only, so FP64 is not named.

@@ -1,13 +1,22 @@
 //! The Open Inference Protocol, version 2, over HTTP, with Triton's extension for binary tensors: a cloud
 //! as a tensor in, the dense cloud as a tensor out.
 //!
+//! | file | holds |
+//! |---|---|
+//! | `request`, `bounded` | the JSON of a request, and what of it there may be only little of |
+//! | `reply` | the answer |
+//! | `describe`, `repository` | the server, and its one model |
+//! | `statistics` | how many requests there were, and how long they took |
+//!
 //! The work is that of [`crate::http::upsample`]; only what stands around the points differs. Errors under
 //! `/v2` are the same [`Problem`]s, with the body that this protocol has (see [`crate::connection::record`]).
 
 mod bounded;
 mod describe;
 mod reply;
+mod repository;
 mod request;
+pub(crate) mod statistics;
 
 use std::sync::Arc;
 
@@ -20,16 +29,19 @@ use axum::{Extension, Json};
 use crate::admission::guess;
 use crate::admission::ticket::Ticket;
 use crate::app::App;
-use crate::http::query;
 use crate::http::upload::Upload;
 use crate::http::upsample::{self, UpsampleRequest};
 use crate::problem::Problem;
 use crate::route::{Route, get, post};
+use bounded::Parameters;
 use densecloud::{Options, PARAMETERS, Parameter, Topic};
 use densecloud_cloud::Cloud;
 use densecloud_engine::Client;
 use densecloud_formats::{Format, Scalar};
-use request::{Request, read, split};
+#[cfg(test)]
+pub(crate) use request::HINTS;
+use request::{Request, read, split, without_literals};
+use statistics::Attempt;
 
 /// The model's name in paths, whatever its card says.
 const MODEL: &str = "densecloud";
@@ -49,14 +61,21 @@ pub(super) fn routes() -> Vec<Route> {
         get("/v2", describe::server),
         get("/v2/health/live", || async { Json(serde_json::json!({ "live": true })) }),
         get("/v2/health/ready", ready),
+        get("/v2/models", describe::models),
+        get("/v2/models/stats", statistics::all),
         get("/v2/models/{model}", describe::model),
+        get("/v2/models/{model}/stats", statistics::of_model),
         get("/v2/models/{model}/config", describe::config),
         get("/v2/models/{model}/ready", model_ready),
         post("/v2/models/{model}/infer", infer),
         get("/v2/models/{model}/versions/{version}", describe::model),
+        get("/v2/models/{model}/versions/{version}/stats", statistics::of_model),
         get("/v2/models/{model}/versions/{version}/config", describe::config),
         get("/v2/models/{model}/versions/{version}/ready", model_ready),
         post("/v2/models/{model}/versions/{version}/infer", infer),
+        post("/v2/repository/index", repository::index),
+        post("/v2/repository/models/{model}/load", repository::fixed),
+        post("/v2/repository/models/{model}/unload", repository::fixed),
     ]
 }
 
@@ -111,9 +130,10 @@ async fn infer(
             let why = "not read here; put them among the request's \"parameters\"".to_owned();
             return Err(Problem::parameter("query", why));
         }
+        let attempt = app.statistics.begin();
         let ticket = Ticket::new(&app, client, &headers)?;
         let deadline = ticket.deadline.clone();
-        deadline.run(answer(&app, ticket, &headers, &mut upload)).await
+        deadline.run(answer(&app, ticket, attempt, &headers, &mut upload)).await
     }
     .await;
     upload.give_up();
@@ -123,6 +143,7 @@ async fn infer(
 async fn answer(
     app: &Arc<App>,
     mut ticket: Ticket,
+    attempt: Attempt<'_>,
     headers: &HeaderMap,
     upload: &mut Upload,
 ) -> Result<Response, Problem> {
@@ -151,7 +172,16 @@ async fn answer(
     let arrived = (received.bytes().len(), received.took);
     let read = move |app: &App| {
         let (json, binary) = split(received.bytes(), header)?;
-        let request = read(json)?;
+        let (plain, _held);
+        let request = match read(json) {
+            Err(problem @ Problem::MalformedRequest(_)) => {
+                // Room for the other text beside this one.
+                _held = app.budget.hold(json.len() as u64).ok_or_else(|| app.held_full())?;
+                plain = without_literals(json).ok_or(problem)?;
+                read(&plain)?
+            }
+            request => request?,
+        };
         check_points(app, &request)?;
         let mut cloud = Cloud::from(request.positions(binary)?);
         cloud.origin.sha256 = Some(request.hash(&cloud.positions));
@@ -161,6 +191,7 @@ async fn answer(
         Ok((UpsampleRequest { cloud, input, options }, reply))
     };
     let (mut done, reply) = upsample::run(app, ticket, arrived, read, |_| {}).await?;
+    attempt.succeeded(&done);
     if done.format != (Format::Npy { scalar: reply.datatype.scalar(), fields: false }) {
         let why = "FP32 is too coarse for these coordinates and this many points; send FP64";
         done.about.warnings.push(why.into());
@@ -244,13 +275,18 @@ pub(super) fn parameters() -> impl Iterator<Item = &'static Parameter> {
     PARAMETERS.iter().filter(move |parameter| !about_files.contains(&parameter.topic))
 }
 
-/// Reads the parameters of a request, which are those of `/upsample` that tell of points alone.
-fn options(pairs: &[(String, String)]) -> Result<Options, Problem> {
+/// Reads the parameters of a request, which are those of `/upsample` that tell of points alone. Most clients of this
+/// protocol send none: without one that says how dense the result shall be, it has four times the points.
+fn options(given: &Parameters) -> Result<Options, Problem> {
     let names: Vec<&str> = parameters().map(|parameter| parameter.name).collect();
-    if let Some((unknown, _)) = pairs.iter().find(|(name, _)| !names.contains(&name.as_str())) {
+    if let Some(unknown) = given.names().find(|name| !names.contains(name)) {
         return Err(Problem::parameter(unknown, format!("unknown; there are {}", names.join(", "))));
     }
-    query::options_of(pairs)
+    if let Some(nested) = given.nested.first() {
+        let why = "invalid type: a list or an object; it may be a number, a string, true or false";
+        return Err(Problem::parameter(nested, why.into()));
+    }
+    Ok(Options::parse(&given.pairs)?)
 }
 
 #[cfg(test)]

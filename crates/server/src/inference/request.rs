@@ -7,7 +7,7 @@ use serde::de::{DeserializeSeed, Deserializer, Error, SeqAccess, Visitor};
 use serde_json::value::RawValue;
 use sha2::{Digest, Sha256};
 
-use super::bounded::{self, Few};
+use super::bounded::{Few, Parameters, or_null};
 use super::reply::Reply;
 use super::{Datatype, TENSOR, options};
 use crate::problem::Problem;
@@ -19,6 +19,8 @@ use densecloud_cloud::Position;
 pub(super) struct Request<'a> {
     /// Points in, as its shape claims.
     pub(super) points: u64,
+    /// Whether its shape has one dimension more, of one cloud.
+    batched: bool,
     pub(super) options: Options,
     /// What its answer must know of it.
     pub(super) reply: Reply,
@@ -34,16 +36,29 @@ enum Data<'a> {
     Binary(u64),
 }
 
+/// Parameters of a request that other servers have and that ask for nothing which could be done here: what a scheduler,
+/// a codec or a stateful model would go by. Any others are refused, so that none of ours is misspelt unnoticed.
+pub(crate) const HINTS: [&str; 7] =
+    ["content_type", "headers", "priority", "sequence_end", "sequence_id", "sequence_start", "timeout"];
+
+fn is_hint(name: &str) -> bool {
+    HINTS.contains(&name) || name.starts_with("triton_")
+}
+
+/// What a tensor's parameters ask for that would change what is sent, and where to.
+const UNSUPPORTED: [&str; 4] =
+    ["classification", "shared_memory_byte_size", "shared_memory_offset", "shared_memory_region"];
+
 /// The JSON. What the protocol has beside, and what is unknown, is passed over.
 #[derive(Deserialize)]
 struct Document<'a> {
     #[serde(default)]
     id: Option<String>,
-    #[serde(default)]
-    parameters: bounded::Parameters,
+    #[serde(default, deserialize_with = "or_null")]
+    parameters: Parameters,
     #[serde(borrow)]
     inputs: Few<Input<'a>>,
-    #[serde(default)]
+    #[serde(default, deserialize_with = "or_null")]
     outputs: Few<Output>,
 }
 
@@ -52,8 +67,8 @@ struct Input<'a> {
     name: String,
     shape: Few<i64>,
     datatype: String,
-    #[serde(default)]
-    parameters: bounded::Parameters,
+    #[serde(default, deserialize_with = "or_null")]
+    parameters: Parameters,
     #[serde(borrow, default)]
     data: Option<&'a RawValue>,
 }
@@ -61,8 +76,8 @@ struct Input<'a> {
 #[derive(Deserialize)]
 struct Output {
     name: String,
-    #[serde(default)]
-    parameters: bounded::Parameters,
+    #[serde(default, deserialize_with = "or_null")]
+    parameters: Parameters,
 }
 
 fn malformed(why: impl Into<String>) -> Problem {
@@ -80,6 +95,33 @@ pub(super) fn split(body: &[u8], header: Option<usize>) -> Result<(&[u8], &[u8])
     })
 }
 
+/// What JSON has no words for, as Python writes it all the same, as null; nothing where there is none.
+///
+/// Points with such coordinates are left out, and that is told; the other tokens of JSON have no capitals.
+pub(super) fn without_literals(json: &[u8]) -> Option<Vec<u8>> {
+    const LITERALS: [&[u8]; 3] = [b"NaN", b"-Infinity", b"Infinity"];
+    let (mut text, mut rest, mut quoted, mut found) = (Vec::with_capacity(json.len()), json, false, false);
+    while let [byte, more @ ..] = rest {
+        let literal = LITERALS.into_iter().find(|literal| !quoted && rest.starts_with(literal));
+        if let Some(literal) = literal {
+            text.extend_from_slice(b"null");
+            (rest, found) = (&rest[literal.len()..], true);
+            continue;
+        }
+        text.push(*byte);
+        rest = more;
+        match (*byte, more) {
+            (b'"', _) => quoted = !quoted,
+            (b'\\', [escaped, more @ ..]) if quoted => {
+                text.push(*escaped);
+                rest = more;
+            }
+            _ => {}
+        }
+    }
+    found.then_some(text)
+}
+
 /// Reads the JSON, but no numbers of a tensor.
 ///
 /// # Errors
@@ -93,17 +135,14 @@ pub(super) fn read(json: &[u8]) -> Result<Request<'_>, Problem> {
         return Err(malformed(format!("there are {count} inputs; there must be one, {TENSOR:?}")));
     };
     let datatype = check_tensor(&input)?;
-    let points = check_shape(&input.shape.0)?;
+    let (points, batched) = check_shape(&input.shape.0)?;
     let data = place(&input, points.saturating_mul(3 * datatype.width() as u64))?;
     let binary = pairs.take("binary_data_output");
     let binary = binary.map_or(Ok(false), |value| switch("binary_data_output", &value))?;
     let binary = check_outputs(outputs.0)?.unwrap_or(binary);
-    // Hints to a scheduler, which need not be followed.
-    for hint in ["priority", "timeout"] {
-        pairs.take(hint);
-    }
+    pairs.ignore(is_hint);
     let reply = Reply { id, datatype, binary };
-    Ok(Request { points, options: options(&pairs.0)?, reply, data })
+    Ok(Request { points, batched, options: options(&pairs)?, reply, data })
 }
 
 fn check_tensor(input: &Input<'_>) -> Result<Datatype, Problem> {
@@ -114,24 +153,25 @@ fn check_tensor(input: &Input<'_>) -> Result<Datatype, Problem> {
     Datatype::of(&input.datatype).ok_or_else(unknown)
 }
 
-/// Points in a tensor of this shape.
-fn check_shape(shape: &[i64]) -> Result<u64, Problem> {
+/// Points in a tensor of this shape, and whether it is a batch of one cloud.
+fn check_shape(shape: &[i64]) -> Result<(u64, bool), Problem> {
     match shape {
-        [points, 3] if *points >= 0 => Ok(points.unsigned_abs()),
-        _ => Err(malformed(format!("input {TENSOR:?} has the shape {shape:?}; it must be [N, 3]"))),
+        [points, 3] if *points >= 0 => Ok((points.unsigned_abs(), false)),
+        [1, points, 3] if *points >= 0 => Ok((points.unsigned_abs(), true)),
+        [clouds, _, 3] if *clouds > 1 => Err(malformed(format!(
+            "input {TENSOR:?} has the shape {shape:?}: {clouds} clouds; send each in a request of its own"
+        ))),
+        _ => Err(malformed(format!(
+            "input {TENSOR:?} has the shape {shape:?}; it must be [N, 3] or [1, N, 3]"
+        ))),
     }
 }
 
 /// Where the numbers of this input are, which take so many bytes in binary.
 fn place<'a>(input: &Input<'a>, bytes: u64) -> Result<Data<'a>, Problem> {
-    let mut size = None;
-    for (name, value) in &input.parameters.0 {
-        match name.as_str() {
-            "binary_data_size" => size = Some(value),
-            // Shared memory, say.
-            _ => return Err(malformed(format!("input {TENSOR:?}: {name} is not supported"))),
-        }
-    }
+    check_supported("input", &input.parameters)?;
+    let size =
+        input.parameters.pairs.iter().find(|(name, _)| name == "binary_data_size").map(|(_, size)| size);
     match (size, input.data) {
         (Some(size), None) if size.parse() == Ok(bytes) => Ok(Data::Binary(bytes)),
         (Some(size), None) => Err(malformed(format!(
@@ -143,7 +183,16 @@ fn place<'a>(input: &Input<'a>, bytes: u64) -> Result<Data<'a>, Problem> {
     }
 }
 
-fn switch(name: &str, value: &str) -> Result<bool, Problem> {
+/// Refuses what may not be passed over; the rest are hints, such as how a client's codec sees the tensor.
+fn check_supported(what: &str, parameters: &Parameters) -> Result<(), Problem> {
+    match parameters.names().find(|name| UNSUPPORTED.contains(name)) {
+        Some(name) => Err(malformed(format!("{what} {TENSOR:?}: {name} is not supported"))),
+        None => Ok(()),
+    }
+}
+
+/// A member that is true or false.
+pub(super) fn switch(name: &str, value: &str) -> Result<bool, Problem> {
     value.parse().map_err(|_| malformed(format!("{name} is {value}; it must be true or false")))
 }
 
@@ -156,15 +205,9 @@ fn check_outputs(outputs: Vec<Output>) -> Result<Option<bool>, Problem> {
     if name != TENSOR {
         return Err(malformed(format!("unknown output {name:?}; there is {TENSOR:?}")));
     }
-    let mut binary = None;
-    for (name, value) in &parameters.0 {
-        match name.as_str() {
-            "binary_data" => binary = Some(switch("binary_data", value)?),
-            // Shared memory, or a classification.
-            _ => return Err(malformed(format!("output {TENSOR:?}: {name} is not supported"))),
-        }
-    }
-    Ok(binary)
+    check_supported("output", &parameters)?;
+    let binary = parameters.pairs.iter().find(|(name, _)| name == "binary_data");
+    binary.map(|(name, value)| switch(name, value)).transpose()
 }
 
 impl Request<'_> {
@@ -198,7 +241,7 @@ impl Request<'_> {
                 // Cannot be too many: the shape has been checked against the limits.
                 let mut numbers = Numbers { found: Vec::new(), most: self.points.saturating_mul(3) };
                 let mut deserializer = serde_json::Deserializer::from_str(data.get());
-                List(&mut numbers)
+                List { numbers: &mut numbers, batched: self.batched }
                     .deserialize(&mut deserializer)
                     .map_err(|error| malformed(format!("input {TENSOR:?}: data: {error}")))?;
                 numbers.positions(self.reply.datatype)
@@ -246,7 +289,7 @@ impl Numbers {
             return Ok(rows.to_vec());
         }
         let rows: Vec<Position> = rows.iter().map(|row| row.map(|c| f64::from(c as f32))).collect();
-        if rows.as_flattened().iter().any(|c| !c.is_finite()) {
+        if rows.as_flattened().iter().any(|c| c.is_infinite()) {
             return Err(malformed(format!("input {TENSOR:?}: a number in data does not fit into FP32")));
         }
         Ok(rows)
@@ -261,10 +304,23 @@ impl Numbers {
     }
 }
 
-/// All of `data`: numbers one after the other, or in rows of three.
-struct List<'a>(&'a mut Numbers);
-/// A number, or a row.
-struct Element<'a>(&'a mut Numbers);
+/// All of `data`: numbers one after the other, or in rows of three; of a batch also one list of these.
+struct List<'a> {
+    numbers: &'a mut Numbers,
+    batched: bool,
+}
+/// A number, a row or, where there may be, a list of rows.
+struct Element<'a> {
+    numbers: &'a mut Numbers,
+    rows: bool,
+}
+
+/// What an [`Element`] was.
+#[derive(PartialEq, Eq)]
+enum Found {
+    Number,
+    List,
+}
 
 impl<'de> DeserializeSeed<'de> for List<'_> {
     type Value = ();
@@ -282,45 +338,63 @@ impl<'de> Visitor<'de> for List<'_> {
     }
 
     fn visit_seq<A: SeqAccess<'de>>(self, mut sequence: A) -> Result<(), A::Error> {
-        while sequence.next_element_seed(Element(self.0))?.is_some() {}
+        while sequence.next_element_seed(Element { numbers: self.numbers, rows: self.batched })?.is_some() {}
         Ok(())
     }
 }
 
 impl<'de> DeserializeSeed<'de> for Element<'_> {
-    type Value = ();
+    type Value = Found;
 
-    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<(), D::Error> {
+    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<Found, D::Error> {
         deserializer.deserialize_any(self)
     }
 }
 
 impl<'de> Visitor<'de> for Element<'_> {
-    type Value = ();
+    type Value = Found;
 
     fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str("a number or a row of three")
     }
 
-    fn visit_f64<E: Error>(self, value: f64) -> Result<(), E> {
-        self.0.push(value)
+    fn visit_f64<E: Error>(self, value: f64) -> Result<Found, E> {
+        self.numbers.push(value).map(|()| Found::Number)
     }
 
-    fn visit_u64<E: Error>(self, value: u64) -> Result<(), E> {
-        self.0.push(value as f64)
+    fn visit_u64<E: Error>(self, value: u64) -> Result<Found, E> {
+        self.visit_f64(value as f64)
     }
 
-    fn visit_i64<E: Error>(self, value: i64) -> Result<(), E> {
-        self.0.push(value as f64)
+    fn visit_i64<E: Error>(self, value: i64) -> Result<Found, E> {
+        self.visit_f64(value as f64)
     }
 
-    fn visit_seq<A: SeqAccess<'de>>(self, mut sequence: A) -> Result<(), A::Error> {
-        let mut row = 0;
-        while let Some(number) = sequence.next_element()? {
-            self.0.push(number)?;
-            row += 1;
+    /// As JavaScript writes NaN.
+    fn visit_unit<E: Error>(self) -> Result<Found, E> {
+        self.visit_f64(f64::NAN)
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, mut sequence: A) -> Result<Found, A::Error> {
+        let (mut row, mut rows) = (0, 0);
+        if self.rows {
+            while let Some(found) =
+                sequence.next_element_seed(Element { numbers: self.numbers, rows: false })?
+            {
+                *(if found == Found::Number { &mut row } else { &mut rows }) += 1;
+            }
+        } else {
+            while let Some(number) = sequence.next_element::<Option<f64>>()? {
+                self.numbers.push(number.unwrap_or(f64::NAN))?;
+                row += 1;
+            }
         }
-        if row == 3 { Ok(()) } else { Err(A::Error::custom(format_args!("a row of {row} numbers, not 3"))) }
+        match (row, rows) {
+            (3, 0) => Ok(Found::List),
+            (0, _) if self.rows => Ok(Found::List),
+            (_, 0) => Err(A::Error::custom(format_args!("a row of {row} numbers, not 3"))),
+            _ => Err(A::Error::custom(format_args!("a row of {row} numbers and lists"))),
+        }
     }
 }
 
@@ -349,6 +423,69 @@ mod tests {
         );
         let single = positions(r#""datatype":"FP32","shape":[1,3],"data":[0.1,16777217,1]"#);
         assert_eq!(single, Ok(vec![[f64::from(0.1_f32), 16_777_216.0, 1.0]]), "as FP32 has them");
+    }
+
+    #[test]
+    fn a_batch_of_one_cloud_is_that_cloud_however_its_data_are_nested() {
+        let expected = Ok(vec![[1.0, 2.5, -3.0], [0.1, 4.0, 6.0]]);
+        for data in ["[1,2.5,-3,0.1,4,6]", "[[1,2.5,-3],[0.1,4,6]]", "[[[1,2.5,-3],[0.1,4,6]]]"] {
+            let input = format!(r#""datatype":"FP64","shape":[1,2,3],"data":{data}"#);
+            assert_eq!(positions(&input), expected, "{data}");
+        }
+        for (shape, data, part) in [
+            ("[2,1,3]", "[1,2,3,4,5,6]", "2 clouds"),
+            ("[1,2,3]", "[[[1,2],[3,4,5,6]]]", "a row of 2"),
+            ("[1,2,3]", "[[1,2,[3,4,5],6]]", "a row of 3 numbers and lists"),
+            ("[1,2,3]", "[[[[1,2,3]],[4,5,6]]]", "expected f64"),
+            ("[2,2,3]", "[]", "2 clouds"),
+            ("[1,1,2,3]", "[1,2,3,4,5,6]", "[1, N, 3]"),
+        ] {
+            let input = format!(r#""datatype":"FP64","shape":{shape},"data":{data}"#);
+            let why = positions(&input).expect_err(data);
+            assert!(why.contains(part), "{data}: {why}");
+        }
+    }
+
+    #[test]
+    fn coordinates_that_are_none_are_nan() {
+        let data = r#""datatype":"FP32","shape":[3,3],"data":[[1,2,null],[NaN,-Infinity,4],[5,6,Infinity]]"#;
+        let json = request(data).replace("{\"ratio\":4}", r#"{"ratio":4,"content_type":"\"NaN\\"}"#);
+        let text = without_literals(json.as_bytes()).expect("literals");
+        let points = read(&text).expect("a request").positions(b"").expect("points");
+        let finite: Vec<_> = points.iter().map(|point| point.map(f64::is_finite)).collect();
+        assert_eq!(finite, [[true, true, false], [false, false, true], [true, true, false]]);
+        assert!(String::from_utf8_lossy(&text).contains(r#""\"NaN\\""#), "within quotes it is text");
+        let flat = positions(r#""datatype":"FP64","shape":[1,3],"data":[1,null,3]"#).expect("points");
+        assert!(flat[0][1].is_nan() && flat[0][2] == 3.0);
+        for json in ["", "[1]", r#"{"NaN":"Infinity"}"#, r#"["\\"]"#, r#"["\"NaN"]"#] {
+            assert_eq!(without_literals(json.as_bytes()), None, "{json}");
+        }
+    }
+
+    #[test]
+    fn what_is_null_is_absent_and_hints_are_passed_over() {
+        let plain = request(r#""datatype":"FP64","shape":[1,3],"data":[1,2,3]"#);
+        let plain = read(plain.as_bytes()).expect("a request").options;
+        for (of_request, of_input, of_output) in [
+            ("null", "null", "null"),
+            (
+                r#"{"content_type":"np","headers":{"a":["b"]}}"#,
+                r#"{"content_type":"np"}"#,
+                r#"{"content_type":null}"#,
+            ),
+            (r#"{"sequence_id":7,"sequence_start":true,"priority":null}"#, r#"{"any":[{}]}"#, "{}"),
+            (r#"{"ratio":4,"triton_enable_empty_final_response":true,"seed":null}"#, "{}", r#"{"any":1}"#),
+        ] {
+            let json = format!(
+                r#"{{"id":null,"parameters":{of_request},"inputs":[{{"name":"points","datatype":"FP64","shape":[1,3],
+                   "parameters":{of_input},"data":[1,2,3]}}],"outputs":[{{"name":"points","parameters":{of_output}}}]}}"#
+            );
+            let read = read(json.as_bytes()).unwrap_or_else(|problem| panic!("{json}: {problem}"));
+            assert_eq!((&read.options, read.reply.id), (&plain, None), "{json}");
+        }
+        let outputs =
+            r#"{"inputs":[{"name":"points","datatype":"FP64","shape":[1,3],"data":[1,2,3]}],"outputs":null}"#;
+        assert!(read(outputs.as_bytes()).is_ok());
     }
 
     #[test]

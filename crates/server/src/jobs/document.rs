@@ -8,6 +8,7 @@ use serde::Serialize;
 use serde_json::Value;
 
 use crate::app::App;
+use crate::connection::prefix::Prefix;
 use crate::http::upsample::About;
 use crate::jobs::{ask, seen};
 use crate::problem::Problem;
@@ -127,6 +128,14 @@ impl Document {
             _ => {}
         }
         Ok(document)
+    }
+
+    /// The same with links that begin with this.
+    pub(crate) fn under(mut self, prefix: &Prefix) -> Self {
+        if let Some(result) = &mut self.result {
+            result.url = prefix.link(&result.url);
+        }
+        self
     }
 
     /// One with all that a job can tell of itself.

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use axum::extract::{Extension, State as Shared};
-use axum::http::header;
+use axum::http::{HeaderName, header};
 use axum::response::sse::{Event, Sse};
 use axum::response::{IntoResponse, Response};
 use futures::stream;
@@ -14,6 +14,9 @@ use tokio::sync::watch;
 use tokio::time::{Instant, sleep};
 
 use crate::app::App;
+use crate::connection::accept::Connection;
+use crate::connection::activity::Activity;
+use crate::connection::prefix::Prefix;
 use crate::jobs::document::{Document, Progress};
 use crate::jobs::{JobId, ask, seen};
 use crate::problem::Problem;
@@ -25,25 +28,34 @@ use densecloud_jobs::{Jobs, State, Task};
 const TICK: Duration = Duration::from_millis(250);
 /// Without news, proxies and our own watch over slow readers want a sign of life.
 const ALIVE: Duration = Duration::from_secs(10);
+/// A client that closed its sending side may be gone: what is sent to it shows that.
+const HALF_CLOSED: Duration = Duration::from_secs(1);
+/// Says to nginx, and to others that have taken it over, that an answer is to be passed on as it comes.
+const ACCEL_BUFFERING: HeaderName = HeaderName::from_static("x-accel-buffering");
 
 /// The handler. An event has the name of its kind, `progress` or a final state, and the job as `GET
 /// /jobs/{id}` tells it. The stream ends with the job, and when the server stops.
 pub(crate) async fn events(
     Shared(app): Shared<Arc<App>>,
     Extension(client): Extension<Client>,
+    Extension(prefix): Extension<Prefix>,
+    connection: Option<Extension<Connection>>,
     JobId(id): JobId,
 ) -> Result<Response, Problem> {
     let jobs = Arc::clone(app.jobs()?);
     let changes = jobs.changes();
     let alive = ALIVE.min(app.config.timeouts.stall / 3);
-    let mut state = Events { app, jobs, client, id, changes, alive, seen: None, told: None, over: false };
+    let activity = connection.map(|Extension(connection)| connection.activity).unwrap_or_default();
+    let (seen, told, over) = (None, None, false);
+    let mut state = Events { app, jobs, client, id, prefix, activity, changes, alive, seen, told, over };
     state.look().await?;
     let events = stream::unfold(state, |mut events| async move {
         let event = events.next().await?;
         Some((Ok::<_, Infallible>(event), events))
     });
     // Not to be kept, either, where axum says only that a cache must ask.
-    Ok(([(header::CACHE_CONTROL, "no-store")], Sse::new(events)).into_response())
+    let headers = [(header::CACHE_CONTROL, "no-store"), (ACCEL_BUFFERING, "no")];
+    Ok((headers, Sse::new(events)).into_response())
 }
 
 struct Events {
@@ -51,6 +63,8 @@ struct Events {
     jobs: Arc<Jobs>,
     client: Client,
     id: String,
+    prefix: Prefix,
+    activity: Activity,
     changes: watch::Receiver<()>,
     alive: Duration,
     /// The job as it was last looked up, and while it runs what is known of it in memory.
@@ -68,11 +82,12 @@ impl Events {
         // Before the question, so that no change between is missed.
         self.changes.mark_unchanged();
         let (shared, client, id) = (Arc::clone(&self.app), self.client.clone(), self.id.clone());
+        let prefix = self.prefix.clone();
         let seen = ask(&self.app, move |jobs| {
             // Before the record: a job that has its task by then runs, or is over.
             let task = jobs.task(&id);
             let record = seen(&shared, jobs, &client, &id)?;
-            let document = Document::with(&shared, jobs, &record, task.as_deref())?;
+            let document = Document::with(&shared, jobs, &record, task.as_deref())?.under(&prefix);
             Ok((document, task.filter(|_| record.state == State::Running)))
         });
         self.seen = Some(seen.await?);
@@ -114,7 +129,8 @@ impl Events {
                 let kind = if document.over { document.state } else { "progress" };
                 return Some(event(kind, document));
             }
-            if start.elapsed() >= self.alive {
+            let alive = if self.activity.is_half_closed() { HALF_CLOSED } else { self.alive };
+            if start.elapsed() >= alive {
                 return Some(sign_of_life());
             }
             tokio::select! {
@@ -171,7 +187,8 @@ mod tests {
         let Admitted::New(id) = jobs.store().admit(&draft).expect("room") else { panic!("no key") };
         let input = jobs.store().write_input(&id, &draft).expect("room");
         jobs.insert(&draft, input).expect("room");
-        let answer = events(Shared(Arc::clone(&app)), Extension(Client::new("")), JobId(id.clone())).await;
+        let (client, prefix) = (Extension(Client::new("")), Extension(Prefix::default()));
+        let answer = events(Shared(Arc::clone(&app)), client, prefix, None, JobId(id.clone())).await;
         let mut body = answer.expect("its events").into_body();
         let mut next = async || {
             let frame = body.frame().await.expect("an event").expect("no fault");

@@ -21,6 +21,7 @@ use tokio::time::timeout;
 use crate::admission::budget::Held;
 use crate::admission::deadline::Deadline;
 use crate::app::App;
+use crate::connection::prefix::Prefix;
 use crate::connection::request_id::RequestId;
 use crate::http::accepted::accepted;
 use crate::http::form::Asking;
@@ -88,6 +89,7 @@ pub(crate) async fn submit(
     State(app): State<Arc<App>>,
     Extension(id): Extension<RequestId>,
     Extension(client): Extension<Client>,
+    Extension(prefix): Extension<Prefix>,
     uri: Uri,
     headers: HeaderMap,
     body: Body,
@@ -96,7 +98,8 @@ pub(crate) async fn submit(
     let answer = match Deadline::of(&headers, app.config.timeouts.request) {
         Ok(deadline) => {
             deadline.enter("of upload");
-            deadline.run(take(&app, &id, &client, &uri, &headers, &mut upload)).await
+            let taken = deadline.run(take(&app, &id, &client, &uri, &headers, &mut upload)).await;
+            taken.and_then(|(status, document)| answer(status, document, &prefix))
         }
         Err(problem) => Err(problem),
     };
@@ -136,7 +139,7 @@ async fn take(
     uri: &Uri,
     headers: &HeaderMap,
     upload: &mut Upload,
-) -> Result<Response, Problem> {
+) -> Result<(StatusCode, Document), Problem> {
     app.jobs()?;
     app.readiness.check()?;
     let wanted = accepted(headers)?;
@@ -154,13 +157,14 @@ async fn take(
         app.engine.check_memory(Cost { points_in, points_out }).map_err(Problem::Refused)
     };
     work::check_length(uri.query().unwrap_or_default())?;
-    let Asking { mut options, received } = Asking::receive(upload, uri, headers, app, known).await?;
+    let Asking { mut options, received, name: stem } =
+        Asking::receive(upload, uri, headers, app, known).await?;
     options.format = wanted;
     let owner = app.config.access.owner(client).unwrap_or_default();
     let (name, id) = (client.name().to_owned(), id.as_str().to_owned());
     let turn = app.parsing.turn(client, received.bytes().len() as u64).await;
     let draft = blocking(app, turn, move |app| {
-        let (job, held) = new_job(app, received, options)?;
+        let (job, held) = new_job(app, received, options, stem)?;
         let job = NewJob { key, owner, client: name, request_id: id, ..job };
         Ok(Arc::new((Draft::new(job), held)))
     })
@@ -194,18 +198,28 @@ async fn take(
             .await?
         }
     };
-    let (status, record) = match submitted {
-        Submitted::New(record) => (StatusCode::ACCEPTED, record),
-        Submitted::Known(record) => (StatusCode::OK, record),
+    let status = match submitted {
+        Submitted::New(_) => StatusCode::ACCEPTED,
+        Submitted::Known(_) => StatusCode::OK,
     };
-    let location = HeaderValue::from_str(&format!("/jobs/{}", record.id))
+    Ok((status, document))
+}
+
+/// What tells of a job that was taken.
+fn answer(status: StatusCode, document: Document, prefix: &Prefix) -> Result<Response, Problem> {
+    let location = HeaderValue::from_str(&prefix.link(&format!("/jobs/{}", document.id)))
         .map_err(|error| Problem::Internal(error.to_string()))?;
-    Ok((status, [(header::LOCATION, location)], Json(document)).into_response())
+    Ok((status, [(header::LOCATION, location)], Json(document.under(prefix))).into_response())
 }
 
 /// Blocking work: reads the cloud, only to know that it can be read, and makes a job of its file.
-fn new_job(app: &App, received: Received, options: Options) -> Result<(NewJob, Held), Problem> {
-    let request = work::text(&options)?;
+fn new_job(
+    app: &App,
+    received: Received,
+    options: Options,
+    stem: Option<String>,
+) -> Result<(NewJob, Held), Problem> {
+    let request = work::text(&options, stem)?;
     let (prepared, room) = prepare(app, UpsampleRequest::read(app, &received, options)?)?;
     let finite = prepared.request.cloud.positions.iter().filter(|p| p.iter().all(|c| c.is_finite())).count();
     let points_out = prepared.request.target.points_out(finite as u64)?;
@@ -259,9 +273,10 @@ impl<S: Send + Sync> FromRequestParts<S> for JobId {
 pub(crate) async fn get(
     State(app): State<Arc<App>>,
     Extension(client): Extension<Client>,
+    Extension(prefix): Extension<Prefix>,
     JobId(id): JobId,
 ) -> Result<Json<Document>, Problem> {
-    Ok(Json(Document::ask(&app, &client, id).await?))
+    Ok(Json(Document::ask(&app, &client, id).await?.under(&prefix)))
 }
 
 /// Whether a client may see a job.
@@ -282,6 +297,7 @@ pub(crate) fn seen(app: &App, jobs: &Jobs, client: &Client, id: &str) -> Result<
 pub(crate) async fn delete(
     State(app): State<Arc<App>>,
     Extension(client): Extension<Client>,
+    Extension(prefix): Extension<Prefix>,
     JobId(id): JobId,
 ) -> Result<Response, Problem> {
     let (shared, name, of) = (Arc::clone(&app), id.clone(), client.clone());
@@ -290,7 +306,9 @@ pub(crate) async fn delete(
         Ok(jobs.delete(&name)?)
     });
     match deleted.await? {
-        Some(Deleted::Cancelled) => Ok(Json(Document::ask(&app, &client, id).await?).into_response()),
+        Some(Deleted::Cancelled) => {
+            Ok(Json(Document::ask(&app, &client, id).await?.under(&prefix)).into_response())
+        }
         Some(Deleted::Forgotten) => Ok(StatusCode::NO_CONTENT.into_response()),
         None => Err(Problem::NoJob(id)),
     }
@@ -313,6 +331,7 @@ const LONGEST_PAGE: u32 = 100;
 pub(crate) async fn list(
     State(app): State<Arc<App>>,
     Extension(client): Extension<Client>,
+    Extension(prefix): Extension<Prefix>,
     uri: Uri,
 ) -> Result<Json<Page>, Problem> {
     let (before, limit) = page_of(&uri)?;
@@ -324,8 +343,9 @@ pub(crate) async fn list(
         let more = records.len() > limit as usize;
         records.truncate(limit as usize);
         let last = records.last().map(|record| record.number).filter(|_| more);
-        let next = last.map(|number| format!("/jobs?limit={limit}&before={number}"));
-        let jobs = records.iter().map(|record| Document::of(&shared, jobs, record));
+        let next = last.map(|number| prefix.link(&format!("/jobs?limit={limit}&before={number}")));
+        let jobs =
+            records.iter().map(|record| Document::of(&shared, jobs, record).map(|job| job.under(&prefix)));
         Ok(Page { jobs: jobs.collect::<Result<_, _>>()?, next })
     });
     Ok(Json(page.await?))
@@ -372,7 +392,8 @@ mod tests {
             headers.insert("idempotency-key", HeaderValue::from_static("k-1"));
             let (app, uri) = (State(Arc::clone(&app)), Uri::from_static("/jobs?ratio=1"));
             let id = Extension(RequestId::of(&headers));
-            let answer = submit(app, id, Extension(Client::new("a")), uri, headers, body.into()).await;
+            let (client, prefix) = (Extension(Client::new("a")), Extension(Prefix::default()));
+            let answer = submit(app, id, client, prefix, uri, headers, body.into()).await;
             answer.expect_err("no turn")
         };
         let problem = post("no cloud").await;

@@ -81,6 +81,7 @@ pub(crate) async fn result(
         response
     };
     about.tell(response.headers_mut());
+    response.headers_mut().insert(header::CONTENT_DISPOSITION, about.disposition());
     if range.is_some() && !about.packed {
         response.headers_mut().insert(header::VARY, HeaderValue::from_static("accept-encoding"));
     }

@@ -4,7 +4,7 @@ use std::io::{self, Read, Write};
 use std::sync::Arc;
 
 use axum::http::{HeaderMap, HeaderValue, header};
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 use crate::app::App;
 use crate::http::accepted::accepted;
@@ -32,14 +32,25 @@ pub(crate) fn check_length(text: &str) -> Result<(), Problem> {
     Ok(())
 }
 
-/// What a job keeps of a request beside its cloud: the options in JSON.
+/// What a job keeps of a request beside its cloud: the options in JSON, and where the cloud's file had a name what
+/// the result's has of that.
 ///
 /// # Errors
 /// [`Problem::Parameter`] where they are too long to be kept.
-pub(crate) fn text(options: &Options) -> Result<String, Problem> {
-    let text = serde_json::to_string(options).map_err(|error| Problem::Internal(error.to_string()))?;
+pub(crate) fn text(options: &Options, name: Option<String>) -> Result<String, Problem> {
+    let text = match name {
+        None => serde_json::to_string(options),
+        Some(name) => serde_json::to_string(&Kept { options: options.clone(), name }),
+    };
+    let text = text.map_err(|error| Problem::Internal(error.to_string()))?;
     check_length(&text)?;
     Ok(text)
+}
+
+#[derive(Serialize, Deserialize)]
+struct Kept {
+    options: Options,
+    name: String,
 }
 
 /// What version 0.1.0 kept: a query, and a header `Accept`.
@@ -49,13 +60,16 @@ struct Before {
     accept: String,
 }
 
-/// The options that a job keeps; as when the request came, unless another version of the program took it.
-fn options(text: &str) -> Result<Options, Problem> {
+/// The options and the name that a job keeps; as when the request came, unless another version of the program took it.
+fn kept(text: &str) -> Result<(Options, Option<String>), Problem> {
     let internal = |error: serde_json::Error| Problem::Internal(error.to_string());
     if let Ok(Before { query, accept }) = serde_json::from_str(text) {
-        return before(&query, &accept);
+        return Ok((before(&query, &accept)?, None));
     }
-    serde_json::from_str(text).map_err(internal)
+    if let Ok(Kept { options, name }) = serde_json::from_str(text) {
+        return Ok((options, Some(name)));
+    }
+    Ok((serde_json::from_str(text).map_err(internal)?, None))
 }
 
 fn before(query: &str, accept: &str) -> Result<Options, Problem> {
@@ -83,7 +97,7 @@ impl Work for Upsampling {
     ) -> Result<String, Stopped> {
         let app = &self.0;
         let refused = |problem: Problem| refused(&problem, &job.request_id);
-        let options = options(&job.request).map_err(refused)?;
+        let (options, name) = kept(&job.request).map_err(refused)?;
         // It came under another limit. What is above this one might never find room.
         let limit = app.config.limits.body_bytes;
         let length = input.length()?;
@@ -121,7 +135,7 @@ impl Work for Upsampling {
             app.metrics.stage(stage.name(), took);
         }
         app.metrics.points(report.points_in, report.points_out);
-        serde_json::to_string(&About::of(&report))
+        serde_json::to_string(&About { name, ..About::of(&report) })
             .map_err(|error| refused(Problem::Internal(error.to_string())))
     }
 }
@@ -145,12 +159,14 @@ mod tests {
         for format in formats.into_iter().chain([None, Some(comma)]) {
             let asked = Options::parse(&[("ratio", "4"), ("attributes", "a&b:drop")]).expect("options");
             let asked = Options { format, ..asked };
-            let kept = text(&asked).unwrap_or_else(|problem| panic!("{problem}"));
-            assert_eq!(options(&kept), Ok(asked), "{kept}");
+            for name in [None, Some("scan \"1\"".to_owned())] {
+                let text = text(&asked, name.clone()).unwrap_or_else(|problem| panic!("{problem}"));
+                assert_eq!(kept(&text), Ok((asked.clone(), name)), "{text}");
+            }
         }
         let long =
             Options::parse(&[("attributes", format!("{}:drop", "x".repeat(LONGEST)))]).expect("options");
-        let Err(Problem::Parameter { why, .. }) = text(&long) else { panic!("too long") };
+        let Err(Problem::Parameter { why, .. }) = text(&long, None) else { panic!("too long") };
         assert!(why.contains("16384"), "{why}");
     }
 
@@ -158,8 +174,9 @@ mod tests {
     fn what_was_kept_before_is_read_however_long() {
         // More than a URI holds.
         let query = format!("ratio=4&seed=7&sensor={}1,2,3", "0".repeat(100_000));
-        let kept = serde_json::json!({ "query": query, "accept": "image/png, text/csv;q=0.5" }).to_string();
-        let options = options(&kept).expect("options");
+        let text = serde_json::json!({ "query": query, "accept": "image/png, text/csv;q=0.5" }).to_string();
+        let (options, name) = kept(&text).expect("options");
+        assert_eq!(name, None);
         assert_eq!((options.cascade.seed, options.finish.sensor), (7, Some([1.0, 2.0, 3.0])));
         assert_eq!(options.format, Some(Format::text(Separator::Comma)));
     }

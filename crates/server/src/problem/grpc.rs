@@ -17,7 +17,7 @@ impl Problem {
         let code = match (self, status.as_u16()) {
             // No such method, in gRPC's words.
             (Self::NotFound | Self::MethodNotAllowed, _) => Code::Unimplemented,
-            (_, 400 | 406 | 415 | 422) => Code::InvalidArgument,
+            (_, 400 | 406 | 411 | 415 | 422) => Code::InvalidArgument,
             (_, 401) => Code::Unauthenticated,
             (_, 403) => Code::PermissionDenied,
             (_, 404) => Code::NotFound,

@@ -33,10 +33,17 @@ pub(super) enum Problem {
     NotFound,
     /// The path names a model, or a version, that is not there.
     UnknownModel(String),
-    /// An inference request that breaks the protocol, or whose tensors are not those of the model.
+    /// What would load or unload the model.
+    FixedModel,
+    /// A head that breaks HTTP's rules, or an inference request that breaks its protocol's, or whose tensors are not
+    /// those of the model.
     MalformedRequest(String),
     /// The path exists, but not for this method.
     MethodNotAllowed,
+    /// The body's length cannot be known.
+    LengthRequired,
+    /// The body is sent in a way that is not known.
+    TransferCoding(String),
     /// A query parameter is missing, unknown, given twice, or out of range.
     Parameter {
         /// The parameter.
@@ -48,6 +55,8 @@ pub(super) enum Problem {
     Interrupted(String),
     /// The body is in a known format, but broken.
     Malformed(String),
+    /// The body lost all its line ends and zero bytes before it was sent.
+    Stripped,
     /// The client stopped sending.
     UploadStalled {
         /// How long was waited.
@@ -200,6 +209,11 @@ pub(super) const SOON: Duration = Duration::from_secs(5);
 impl Problem {
     pub(super) fn parameter(name: &str, why: String) -> Self {
         Self::Parameter { name: name.to_owned(), why }
+    }
+
+    /// The status of an answer that says it.
+    pub(super) fn status(&self) -> StatusCode {
+        self.row().status
     }
 
     /// The outcome of the request, for metrics and logs.

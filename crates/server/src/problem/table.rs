@@ -61,8 +61,15 @@ problems! {
         with all = Format::MEDIA_TYPES.join(", ");
     Self::UnknownModel(name) => NOT_FOUND "unknown-model" "No such model":
         "there is the model \"densecloud\" with version \"1\", not {name}";
+    Self::FixedModel => CONFLICT "fixed-model" "The model does not change":
+        "the model is a part of this server: it is neither loaded nor unloaded";
     Self::MalformedRequest(why) => BAD_REQUEST "malformed-request" "The request cannot be read":
         "{why}";
+
+    Self::TransferCoding(coding) => NOT_IMPLEMENTED "unknown-transfer-coding" "Not a transfer coding that is known":
+        "Transfer-Encoding {coding:?} is not supported; there is chunked, or send a Content-Length";
+    Self::LengthRequired => LENGTH_REQUIRED "length-required" "A length is needed":
+        "HTTP/1.0 tells where a body ends by its Content-Length alone, and there is none";
 
     // The body.
     Self::Interrupted(why) => BAD_REQUEST "interrupted-body" "The body broke off":
@@ -74,6 +81,10 @@ problems! {
         "the body is larger than {limit} bytes; {setting} lifts this limit";
     Self::UnsupportedEncoding(coding) => UNSUPPORTED_MEDIA_TYPE "unsupported-encoding" "Not a compression that is read":
         "Content-Encoding {coding:?} is not supported; there are gzip, deflate and zstd, or send the body as it is";
+
+    Self::Stripped => BAD_REQUEST "stripped-body" "The body lost its line ends":
+        "the body has no line end and no zero byte, as when curl's -d (--data) sends a file; send it with \
+         --data-binary @FILE or, as a form, with -F cloud=@FILE";
 
     // The cloud, and what is wanted of it.
     Self::UnsupportedFormat(why) => UNSUPPORTED_MEDIA_TYPE "unsupported-format" "Not a format that is read":

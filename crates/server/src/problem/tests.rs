@@ -12,8 +12,12 @@ pub(crate) fn every_problem() -> Vec<(Problem, u16, &'static str)> {
     vec![
         (Problem::NotFound, 404, "not-found"),
         (Problem::UnknownModel("x".into()), 404, "unknown-model"),
+        (Problem::FixedModel, 409, "fixed-model"),
         (Problem::MalformedRequest("x".into()), 400, "malformed-request"),
         (Problem::MethodNotAllowed, 405, "method-not-allowed"),
+        (Problem::LengthRequired, 411, "length-required"),
+        (Problem::TransferCoding("x".into()), 501, "unknown-transfer-coding"),
+        (Problem::Stripped, 400, "stripped-body"),
         (Problem::parameter("ratio", "missing".into()), 400, "invalid-parameter"),
         (Problem::Interrupted("x".into()), 400, "interrupted-body"),
         (Problem::Malformed("x".into()), 400, "malformed-cloud"),

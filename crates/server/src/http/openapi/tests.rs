@@ -64,7 +64,7 @@ fn parameters_and_media_types_are_those_that_are_read() {
     assert_eq!(form, known.chain(["cloud"]).collect());
     let request = &description["components"]["schemas"]["InferenceRequest"]["properties"];
     let expected = inference::parameters().map(|parameter| parameter.name);
-    let expected = expected.chain(["binary_data_output", "priority", "timeout"]);
+    let expected = expected.chain(["binary_data_output"]).chain(inference::HINTS);
     assert_eq!(keys(&request["parameters"]["properties"]), expected.collect());
 }
 
@@ -161,6 +161,15 @@ fn the_description_is_of_this_version_and_its_references_lead_somewhere() {
 }
 
 #[test]
+fn the_description_says_where_a_proxy_offers_the_server() {
+    let at = |prefix: Prefix| -> Value { serde_json::from_str(&description_under(&prefix)).expect("JSON") };
+    assert_eq!(at(Prefix::default())["servers"][0]["url"], "/");
+    let mut expected = description();
+    expected["servers"][0]["url"] = "/clouds/1".into();
+    assert_eq!(at(Prefix::of_path("/clouds/1")), expected);
+}
+
+#[test]
 fn the_page_takes_nothing_from_elsewhere() {
     assert!(!PAGE.contains("://") && !PAGE.contains("src="));
 }
@@ -211,7 +220,8 @@ impl Server {
     /// Asks, and holds the answer against the description of the path; gives its status and its body.
     async fn ask(&self, method: &str, path: &str, target: &str, body: &'static str) -> (u16, Vec<u8>) {
         let request =
-            Request::builder().method(method).uri(target).body(Body::from(body)).expect("a request");
+            Request::builder().method(method).uri(target).header("host", "x").body(Body::from(body));
+        let request = request.expect("a request");
         let answer = self.router.clone().oneshot(request).await.expect("an answer");
         let (head, body) = answer.into_parts();
         let body = axum::body::to_bytes(body, 1 << 20).await.expect("a body").to_vec();
@@ -298,7 +308,8 @@ async fn a_method_that_a_path_has_not_is_told_with_those_that_it_has() {
         ("/jobs/1", "GET,HEAD,DELETE"),
         ("/v2/models/densecloud/infer", "POST"),
     ] {
-        let request = Request::builder().method("PUT").uri(path).body(Body::empty()).expect("a request");
+        let request = Request::builder().method("PUT").uri(path).header("host", "x").body(Body::empty());
+        let request = request.expect("a request");
         let answer = server.router.clone().oneshot(request).await.expect("an answer");
         assert_eq!(answer.status(), 405, "{path}");
         assert_eq!(answer.headers()["allow"], allowed, "{path}");
