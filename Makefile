@@ -40,4 +40,4 @@ venv:
 
 clean:
 	cargo clean
-	rm -rf out .venv vendor
+	rm -rf out .venv .venv-interop vendor

@@ -1,11 +1,11 @@
-//! What a part of a cloud cannot know alone.
+//! Statistics of a whole cloud, which a part of it cannot compute alone.
 //!
-//! Points are placed by their neighbours, and by a few numbers of the whole cloud: how far apart points usually are, how
-//! far strays usually stray, whether the input is clean. Those numbers are here, with the functions that compute
-//! them, and nowhere else. A level that is given a filled [`Globals`] computes none of them.
+//! Each new point depends on the points around it, and on a few numbers of the whole cloud: the usual spacing, the usual
+//! distance of strays, how clean the input is. All of those numbers, and the functions that compute them, are in this file.
+//! A level that is given a filled [`Globals`] computes none of them anew.
 //!
-//! Three things of the whole are no numbers, and stay with their algorithms: the order in which farthest point sampling
-//! chooses, the random draws for its first points, and exact sizes.
+//! Three more things depend on the whole cloud and are not numbers; they stay with their algorithms: the order in which
+//! farthest point sampling chooses, the random choice of its first points, and the exact sizes of levels.
 
 use crate::apart::PASSES;
 use densecloud_cloud::{Frame, Point};

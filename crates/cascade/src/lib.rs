@@ -87,14 +87,14 @@ pub struct CascadeOptions {
     /// spacing, the mean distance to its 8 nearest; what moved further is a stray and left out. Positive;
     /// infinity keeps everything.
     pub max_displacement: f64,
-    /// How far a point may lie from the nearest input point, in multiples of the distance that nine
-    /// in ten points of its level keep to, each in the input point's spacing; what lies further is
-    /// left out. So is what lies beyond all input points around it, past a border, by more than 2 / 15 of
-    /// this in their spacing. Positive; infinity keeps everything.
+    /// The largest distance of a new point from its nearest input point: points further away are left out. Its unit is the
+    /// distance that nine in ten points of the level keep to, measured in the spacing of the input there. Past an open
+    /// border, where no input point lies further out, the limit is 2 / 15 of this, in spacings. Positive; infinity keeps
+    /// everything.
     pub max_distance: f64,
-    /// Whether the last level is made even and smooth: its sample's midpoints are sampled once
-    /// more, projected onto the surface that all its points suggest, and drawn to the input as far as
-    /// that is clean. Without, every point is one that the network put there.
+    /// Whether the last level is evened out and smoothed: midpoints of its points are sampled, and projected onto the
+    /// surface through all of them, and through the input where that is clean. Without a polish every point of the
+    /// result is an output of the network.
     pub polish: bool,
     /// Whether each neighbourhood gets its share of the points, or the whole becomes equally dense.
     pub spread: Spread,

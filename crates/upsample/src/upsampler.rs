@@ -1,5 +1,6 @@
 //! The front door: a model that is ready, and clouds that it makes dense.
 
+use std::fmt;
 use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::Path;
@@ -30,6 +31,15 @@ use crate::prepared::{PrepareError, Prepared, Report};
 pub struct Upsampler {
     runner: Arc<dyn LevelRunner>,
     model: ModelName,
+}
+
+impl fmt::Debug for Upsampler {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Upsampler")
+            .field("model", &self.model)
+            .field("provider", &self.runner.provider())
+            .finish_non_exhaustive()
+    }
 }
 
 /// A cloud to work on, and the format that it came in.
