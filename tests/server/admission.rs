@@ -227,7 +227,7 @@ fn a_cloud_that_tells_no_size_takes_points_by_a_guess_before_it_is_read() {
     let limits = densecloud_server::Limits { points_in: 100, ..Default::default() };
     let server = Server::start(&Scripted::new(), Config { limits, ..Config::default() });
     let text = encode(&cloud(100), densecloud_formats::Format::TEXT);
-    let commented = [vec![b"# one of many\n".repeat(200)].concat(), text].concat();
+    let commented = [b"# one of many\n".repeat(200), text].concat();
     assert_eq!(server.post("/upsample?ratio=2", &commented).status, 200);
 }
 
