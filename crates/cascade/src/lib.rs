@@ -58,7 +58,9 @@ pub use observer::{Observer, Silent, Stage};
 pub use patches::Patches;
 pub use patchwise::{OnDemand, Patchwise, Sessions, Workspace};
 pub use plan::{MAX_RATIO, Target};
-pub use runner::{BackendError, Demand, FeatureTable, LevelInput, LevelOutput, LevelRunner, Made, UnitShape};
+pub use runner::{
+    BackendError, Demand, FeatureTable, LevelInput, LevelOutput, LevelRunner, MadePoint, UnitShape,
+};
 pub use session::{Backend, Batch, Output, SKIP_NEIGHBOURS, Session, SkipInput};
 pub use share::Spread;
 pub use skip::SkipNeighbours;

@@ -4,7 +4,7 @@ use rayon::prelude::*;
 
 use super::border::Borders;
 use super::globals::Globals;
-use super::runner::Made;
+use super::runner::MadePoint;
 use super::share::Neighbourhoods;
 use densecloud_cloud::Point;
 use densecloud_geometry::{KdTree, Neighbour, Walk};
@@ -100,8 +100,8 @@ impl Measured {
 
     /// For each point its distance to the nearest input point, in that one's spacing, and that one; NaN
     /// where the point is not finite.
-    pub(super) fn distances(&self, made: &[Made]) -> Vec<(f32, u32)> {
-        let measure = |walk: &mut Walk, m: &Made| {
+    pub(super) fn distances(&self, made: &[MadePoint]) -> Vec<(f32, u32)> {
+        let measure = |walk: &mut Walk, m: &MadePoint| {
             if !m.at.iter().all(|c| c.is_finite()) {
                 return (f32::NAN, 0);
             }

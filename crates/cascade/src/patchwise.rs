@@ -10,8 +10,8 @@ use rayon::prelude::*;
 use crate::session::{Backend, Batch, Output, Session, SkipInput};
 use crate::sphere::Sphere;
 use crate::{
-    BackendError, CascadeError, Demand, FeatureTable, LevelInput, LevelOutput, LevelRunner, Made, Observer,
-    UnitShape, check_count, filled,
+    BackendError, CascadeError, Demand, FeatureTable, LevelInput, LevelOutput, LevelRunner, MadePoint,
+    Observer, UnitShape, check_count, filled,
 };
 
 /// A session and the buffers that its runs reuse: what a thread holds while it runs a patch.
@@ -108,7 +108,7 @@ struct HalfRows(Vec<f16>);
 struct PatchTask<'a> {
     patch: usize,
     /// Its points of the merged cloud, two for each place kept.
-    dense: &'a mut [Made],
+    dense: &'a mut [MadePoint],
     /// Rows of the points that the patch owns.
     features: &'a mut [f16],
 }
@@ -147,7 +147,7 @@ impl<S: Sessions> LevelRunner for Patchwise<S> {
         let channels = if level.want_features { self.shape().channels } else { 0 };
         let kept: usize = (0..patches.count()).map(|p| patches.kept(p).count()).sum();
         check_count(2 * kept)?;
-        let mut merged = filled(Made::default(), 2 * kept)?;
+        let mut merged = filled(MadePoint::default(), 2 * kept)?;
         let mut features = filled(f16::ZERO, level.points.len() * channels)?;
 
         let mut tasks = Vec::with_capacity(patches.count());

@@ -125,9 +125,9 @@ pub struct LevelInput<'a> {
 impl LevelInput<'_> {
     /// A point at `at` that was made of point `source`.
     #[must_use]
-    pub fn made(&self, at: Point, source: usize) -> Made {
+    pub fn made(&self, at: Point, source: usize) -> MadePoint {
         let moved = (0..3).map(|a| (at[a] - self.points[source][a]).powi(2)).sum::<f32>().sqrt();
-        Made { at, displacement: moved / self.patches.spacing[source] }
+        MadePoint { at, displacement: moved / self.patches.spacing[source] }
     }
 }
 
@@ -136,7 +136,7 @@ pub struct LevelOutput {
     /// The points made, at least about twice those of the input: each patch's
     /// [`kept`](Patches::kept) places, twice, is the usual choice. Some may lie far off, or be NaN: strays are left
     /// out later.
-    pub made: Vec<Made>,
+    pub made: Vec<MadePoint>,
     /// A row of features for each input point, numbered by [`Patches::row`]; handed back at the next level. None where
     /// none are wanted, and from a runner that has none.
     pub features: Option<FeatureTable>,
@@ -144,7 +144,7 @@ pub struct LevelOutput {
 
 /// A point that a unit made.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct Made {
+pub struct MadePoint {
     /// Where it is, in local coordinates.
     pub at: Point,
     /// Its distance from the point that it was made of, in that point's spacing.

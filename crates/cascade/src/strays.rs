@@ -4,7 +4,7 @@ use rayon::prelude::*;
 
 use super::globals::{LevelGlobals, most_strayed, once, usual_distance};
 use super::measured::Reference;
-use super::runner::Made;
+use super::runner::MadePoint;
 use densecloud_cloud::Point;
 
 /// How far beyond all input points around it a point may lie, in the nearest one's spacing and as a share of the distance
@@ -42,7 +42,7 @@ pub(super) struct Kept {
 /// Where that leaves fewer than are wanted, the least strayed of the others make up for it ([`most_strayed`]), but never
 /// points that are not finite.
 pub(super) fn without_strays(
-    made: &[Made],
+    made: &[MadePoint],
     limits: &StrayLimits,
     Reference { input, borders, .. }: &Reference,
     globals: &mut LevelGlobals,
@@ -52,7 +52,7 @@ pub(super) fn without_strays(
     // Where most points lie on input points, nothing can be told.
     let limit = if usual > 0.0 { limits.distance * usual } else { f32::INFINITY };
     let most_beyond = BEYOND * limits.distance;
-    let strayed = |found: &mut Vec<_>, (m, &(distance, nearest)): (&Made, &(f32, u32))| {
+    let strayed = |found: &mut Vec<_>, (m, &(distance, nearest)): (&MadePoint, &(f32, u32))| {
         // NaN stays: `max` would lose it.
         if !distance.is_finite() {
             return distance;
@@ -89,12 +89,16 @@ mod tests {
     }
 
     /// What is left where so many are wanted and needed, and points are moved and far by no more than this.
-    fn left(made: &[Made], [wanted, least]: [usize; 2], [displacement, distance]: [f32; 2]) -> Vec<Point> {
+    fn left(
+        made: &[MadePoint],
+        [wanted, least]: [usize; 2],
+        [displacement, distance]: [f32; 2],
+    ) -> Vec<Point> {
         left_of(made, [wanted, least], [displacement, distance], &input())
     }
 
     fn left_of(
-        made: &[Made],
+        made: &[MadePoint],
         [wanted, least]: [usize; 2],
         [displacement, distance]: [f32; 2],
         input: &Reference,
@@ -105,9 +109,9 @@ mod tests {
 
     #[test]
     fn strays_are_left_out_unless_too_few_points_remain() {
-        let made: Vec<Made> = [0.3, 2.0, 0.1, 0.9, 7.0, 0.5, f32::NAN]
+        let made: Vec<MadePoint> = [0.3, 2.0, 0.1, 0.9, 7.0, 0.5, f32::NAN]
             .into_iter()
-            .map(|displacement| Made { at: [displacement, 0.0, 0.0], displacement })
+            .map(|displacement| MadePoint { at: [displacement, 0.0, 0.0], displacement })
             .collect();
         let kept = |size, limit| -> Vec<f32> {
             let left = left(&made, [size, size], [limit, f32::INFINITY]);
@@ -122,9 +126,9 @@ mod tests {
 
     #[test]
     fn the_worst_strays_make_up_only_for_what_is_needed() {
-        let made: Vec<Made> = [0.1, 0.2, 0.9, 1.1, 1.3, 2.0, 7.0]
+        let made: Vec<MadePoint> = [0.1, 0.2, 0.9, 1.1, 1.3, 2.0, 7.0]
             .into_iter()
-            .map(|displacement| Made { at: [displacement, 0.0, 0.0], displacement })
+            .map(|displacement| MadePoint { at: [displacement, 0.0, 0.0], displacement })
             .collect();
         let kept = |size, least| left(&made, [size, least], [0.8, f32::INFINITY]).len();
         // Up to 1.2, half as much again as the limit, whatever is wanted.
@@ -135,9 +139,9 @@ mod tests {
     #[test]
     fn a_stray_is_far_from_the_input_whatever_it_was_made_of() {
         // Ninety points within 0.4 of the line, and one that a stray made beside itself.
-        let mut made: Vec<Made> =
-            (0..90).map(|i| Made { at: [0.1 * i as f32, 0.4, 0.0], displacement: 0.1 }).collect();
-        made.push(Made { at: [4.0, 1.4, 0.0], displacement: 0.1 });
+        let mut made: Vec<MadePoint> =
+            (0..90).map(|i| MadePoint { at: [0.1 * i as f32, 0.4, 0.0], displacement: 0.1 }).collect();
+        made.push(MadePoint { at: [4.0, 1.4, 0.0], displacement: 0.1 });
         let near = left(&made, [10, 10], [0.8, 1.5]);
         assert_eq!(near.len(), 90);
         assert!(near.iter().all(|p| p[1] < 1.0));
@@ -154,10 +158,13 @@ mod tests {
             let at = |i: usize| [(i % 10) as f32, (i / 10) as f32, heights[i]];
             let points: Vec<Point> = (0..100).map(at).collect();
             let input = reference(&points);
-            let mut made: Vec<Made> = (0..81)
-                .map(|i| Made { at: [(i % 9) as f32 + 0.5, (i / 9) as f32 + 0.5, 0.0], displacement: 0.7 })
+            let mut made: Vec<MadePoint> = (0..81)
+                .map(|i| MadePoint {
+                    at: [(i % 9) as f32 + 0.5, (i / 9) as f32 + 0.5, 0.0],
+                    displacement: 0.7,
+                })
                 .collect();
-            let past = |by: f32| Made { at: [9.0 + by, 4.0, 0.0], displacement: 0.7 };
+            let past = |by: f32| MadePoint { at: [9.0 + by, 4.0, 0.0], displacement: 0.7 };
             made.extend([past(0.08), past(0.15), past(0.3), past(0.6)]);
             let left = left_of(&made, [10, 10], [0.8, max_distance], &input);
             assert!(left.len() >= 82);
@@ -172,7 +179,8 @@ mod tests {
 
     #[test]
     fn points_that_lie_on_the_input_are_kept() {
-        let made: Vec<Made> = (0..10).map(|i| Made { at: [i as f32, 0.0, 0.0], displacement: 0.0 }).collect();
+        let made: Vec<MadePoint> =
+            (0..10).map(|i| MadePoint { at: [i as f32, 0.0, 0.0], displacement: 0.0 }).collect();
         assert_eq!(left(&made, [10, 10], [0.8, 1.5]).len(), 10);
     }
 }

@@ -20,6 +20,9 @@ pub struct Origin {
     pub sensors: Option<Arc<Sensors>>,
     /// How the sensor was turned there: a quaternion, the real part first.
     pub orientation: Option<[f64; 4]>,
+    /// The kind of format whose file gave the attributes their names, such as `ply`. There they are told apart by the
+    /// letter; in another, by what they mean.
+    pub named_in: Option<&'static str>,
     /// SHA-256 over all bytes of the file.
     pub sha256: Option<[u8; 32]>,
     /// PLY's elements other than `vertex`, in the file's order.

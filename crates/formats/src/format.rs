@@ -136,8 +136,8 @@ impl Format {
         self.ask(|format| format.is_packed())
     }
 
-    /// Whether [`CloudWriter`](super::CloudWriter) writes it in parts; if not, only
-    /// [`encode`](super::encode) writes it, from all columns.
+    /// Whether [`CloudWriter`](super::CloudWriter) gives the bytes of each point as it is written; if not, they come at
+    /// the end (LAZ), or only [`encode`](super::encode) writes it, from all columns (E57, compressed PCD).
     #[must_use]
     pub fn is_streamed(self) -> bool {
         self.ask(|format| format.is_streamed())
@@ -152,11 +152,35 @@ impl Format {
             if let (false, Some(crs)) = (format.holds_crs(), &origin.crs) {
                 lost.push(format!("the coordinate system ({})", crs.name()));
             }
+            if !format.holds_sensor() && origin.sensor.is_some() {
+                lost.push("the sensor's place".to_owned());
+            }
             if !format.holds_tables() {
                 lost.extend(origin.tables.iter().map(|table| table.name.clone()));
             }
             lost
         })
+    }
+
+    /// What becomes of attributes' names in a file of this format: the name in the cloud, and that in the file, where they
+    /// differ, because the format has no place for some characters, has the name for something else, or would have it twice. Attributes
+    /// that go to a place of the format's own (`Red` to LAS's `red`) are not among them. For LAS, whose places hold some
+    /// numbers and not others, it costs a pass over the columns.
+    ///
+    /// ```
+    /// use densecloud_cloud::{Attribute, Origin, Values};
+    /// use densecloud_formats::Format;
+    ///
+    /// let attribute = |name: &str| Attribute { name: name.into(), values: Values::U8(vec![7]) };
+    /// let attributes = ["scan angle", "red", "red"].map(attribute);
+    /// let ply = Format::from_extension("dense.ply".as_ref()).expect("PLY");
+    /// let renamed = ply.renamed(&attributes, &Origin::default());
+    /// let pairs: Vec<(&str, &str)> = renamed.iter().map(|(from, to)| (from.as_str(), to.as_str())).collect();
+    /// assert_eq!(pairs, [("scan angle", "scan_angle"), ("red", "red_")]);
+    /// ```
+    #[must_use]
+    pub fn renamed(self, attributes: &[Attribute], origin: &Origin) -> Vec<(String, String)> {
+        self.ask(|format| format.renamed(attributes, origin))
     }
 
     /// The media types of all that is written; see [`Format::media_type`].
@@ -189,6 +213,15 @@ impl Format {
     pub fn file_bytes(self, points: u64, attribute_bytes: u64) -> u64 {
         let position = size_of::<Position>() as u64;
         points.saturating_mul(self.ask(|format| format.bytes_a_point(position, attribute_bytes)))
+    }
+
+    /// An estimate, from above, of the memory that [`encode`](super::encode) takes beside the cloud: little for what is
+    /// [streamed](Self::is_streamed), 128 MiB at most for LAZ and E57 (more where no temporary file can be written), and the file three times for
+    /// compressed PCD. `attribute_bytes` as for [`file_bytes`](Self::file_bytes).
+    #[must_use]
+    pub fn bytes_at_work(self, points: u64, attribute_bytes: u64) -> u64 {
+        let file = self.file_bytes(points, attribute_bytes);
+        self.ask(|format| format.bytes_at_work(file))
     }
 }
 

@@ -2,12 +2,13 @@
 //! [registry](super::registry), are all that makes a format.
 
 use std::fmt::{self, Debug};
-use std::io::Write;
+use std::io::{Seek, Write};
 
 use super::reader::Points;
 use super::source::Source;
+use super::spool::Spool;
 use super::{Format, FormatError, Header, Limits, Reading, Scalar, writer};
-use densecloud_cloud::{Attribute, Origin, Position};
+use densecloud_cloud::{Attribute, Origin, Position, Role};
 
 /// A format, whatever the choices within it: how its files are named, recognised and opened. The type that
 /// implements it is the choices.
@@ -106,15 +107,31 @@ pub(crate) trait Choices: fmt::Display {
         true
     }
 
+    /// Whether it has a place for where the sensor stood.
+    fn holds_sensor(&self) -> bool {
+        false
+    }
+
     /// Whether it has a place for tables beside the points.
     fn holds_tables(&self) -> bool {
         false
     }
 
-    /// Attributes and facts about the whole cloud that it has no place for, a phrase each; the coordinate system and
-    /// tables are asked for apart.
+    /// Attributes and facts about the whole cloud that it has no place for, a phrase each; the coordinate system, the
+    /// sensor's place and tables are asked for apart.
     fn not_held(&self, _attributes: &[Attribute], origin: &Origin) -> Vec<String> {
         origin.extra.as_ref().map(|extra| extra.lost_elsewhere()).unwrap_or_default()
+    }
+
+    /// What has become of attributes' names in a file: the name in the cloud, and that in the file, where they differ.
+    /// What stands under one of the format's own names, for what it means, is not among them.
+    fn renamed(&self, _attributes: &[Attribute], _origin: &Origin) -> Vec<(String, String)> {
+        Vec::new()
+    }
+
+    /// What it has whole numbers for.
+    fn whole_numbers(&self) -> &'static [Role] {
+        &[]
     }
 
     /// Whether files are compressed in themselves.
@@ -122,8 +139,7 @@ pub(crate) trait Choices: fmt::Display {
         false
     }
 
-    /// Whether the header depends on the number of points and the types of attributes alone, so that
-    /// [`begin`](Self::begin) can write it before any point is known.
+    /// Whether each block's bytes are made as it is written, and none are held back to the end.
     fn is_streamed(&self) -> bool;
 
     /// The exact length of a file, where it depends on the number of points and on nothing else of them.
@@ -137,19 +153,27 @@ pub(crate) trait Choices: fmt::Display {
         position + attributes
     }
 
-    /// Begins a file of exactly `points` points with attributes of these names and types: returns the header, and the
-    /// encoder of its points.
+    /// An estimate, from above, of the bytes of memory that making a file of `file` bytes takes beside the cloud and a
+    /// block of points.
+    fn bytes_at_work(&self, file: u64) -> u64 {
+        if self.is_streamed() { 0 } else { Spool::most_held(file) }
+    }
+
+    /// Begins a file of exactly `points` points with attributes of these names and types.
     ///
     /// # Errors
-    /// The format is not [streamed](Self::is_streamed).
-    fn begin(
-        &self,
-        points: u64,
-        attributes: &[Attribute],
-        origin: &Origin,
-    ) -> Result<(Vec<u8>, Box<dyn Rows>), FormatError>;
+    /// The header needs to know more ([`first_pass`](Self::first_pass)), or the format is not written in parts.
+    fn begin(&self, _points: u64, _attributes: &[Attribute], _origin: &Origin) -> Result<Begun, FormatError> {
+        Err(FormatError::not_streamed(self))
+    }
 
-    /// Writes a whole cloud. A format that is not streamed passes over the columns for its header first.
+    /// Gathers what the header needs to know of the points, for attributes of these names and types; none where their
+    /// number suffices.
+    fn first_pass(&self, _attributes: &[Attribute], _origin: &Origin) -> Option<Box<dyn FirstPass>> {
+        None
+    }
+
+    /// Writes a whole cloud.
     ///
     /// # Errors
     /// The sink fails, or the cloud holds what the format does not.
@@ -160,19 +184,64 @@ pub(crate) trait Choices: fmt::Display {
         attributes: &[Attribute],
         origin: &Origin,
     ) -> Result<(), FormatError> {
-        let begun = self.begin(positions.len() as u64, attributes, origin)?;
+        let begun = match self.first_pass(attributes, origin) {
+            None => self.begin(positions.len() as u64, attributes, origin)?,
+            Some(mut pass) => {
+                pass.see(positions, attributes, 0)?;
+                pass.begin()?
+            }
+        };
         writer::write_streamed(sink, begun, positions, attributes)
+    }
+
+    /// As [`encode`](Self::encode), from the beginning of a spool.
+    ///
+    /// # Errors
+    /// As [`encode`](Self::encode).
+    fn spooled(
+        &self,
+        positions: &[Position],
+        attributes: &[Attribute],
+        origin: &Origin,
+    ) -> Result<Spool, FormatError> {
+        let mut file = Spool::new();
+        self.encode(&mut file, positions, attributes, origin)?;
+        file.rewind()?;
+        Ok(file)
     }
 }
 
+/// A file's header, and the encoder of its points.
+pub(crate) type Begun = (Vec<u8>, Box<dyn Rows>);
+
+/// What a header needs to know of all points before the first one is written.
+pub(crate) trait FirstPass: Send {
+    /// Takes note of further points. The first point's attributes are at row `from`.
+    ///
+    /// # Errors
+    /// The format has no place for one of them.
+    fn see(
+        &mut self,
+        positions: &[Position],
+        attributes: &[Attribute],
+        from: usize,
+    ) -> Result<(), FormatError>;
+
+    /// Begins a file of all points that were seen.
+    ///
+    /// # Errors
+    /// The cloud holds what the format does not.
+    fn begin(self: Box<Self>) -> Result<Begun, FormatError>;
+}
+
 /// Makes the bytes of points, a block at a time.
-pub(crate) trait Rows: Debug + Send + Sync {
+pub(crate) trait Rows: Debug + Send {
     /// Appends the bytes of points. The first point's attributes are at row `from`.
     ///
     /// # Errors
     /// A coordinate does not fit into the type that it is written in.
     fn put(
-        &self,
+        &mut self,
         bytes: &mut Vec<u8>,
         positions: &[Position],
         attributes: &[Attribute],
@@ -183,7 +252,7 @@ pub(crate) trait Rows: Debug + Send + Sync {
     ///
     /// # Errors
     /// The sink fails.
-    fn end(&self, _sink: &mut dyn Write) -> Result<(), FormatError> {
+    fn end(&mut self, _sink: &mut dyn Write) -> Result<(), FormatError> {
         Ok(())
     }
 }

@@ -35,6 +35,7 @@
 
 mod axes;
 mod columns;
+mod convert;
 mod error;
 mod first_bytes;
 mod format;
@@ -42,6 +43,7 @@ mod kind;
 mod known;
 mod layers;
 mod mesh;
+mod names;
 mod numbers;
 mod reader;
 mod reading;
@@ -74,5 +76,5 @@ pub use ply::PlyEncoding;
 pub use reader::{Block, CloudReader, ColumnName, Ending, read_cloud_file, read_cloud_file_as};
 pub use reading::{AxisColumns, InputFormat, Reading, UnknownName};
 pub use registry::Format;
-pub use writer::{CloudWriter, encode};
+pub use writer::{CloudPlan, CloudWriter, Encoded, encode, encode_spooled};
 pub use xyz::{Decimal, Separator};

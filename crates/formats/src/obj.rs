@@ -3,7 +3,7 @@
 use std::fmt;
 
 use super::columns::TextColumn;
-use super::kind::{self, Choices, Mark, Opened, Rows};
+use super::kind::{self, Begun, Choices, Mark, Opened};
 use super::ply::Ply;
 use super::reader::{Block, ColumnName, Ending, Points};
 use super::source::Source;
@@ -83,12 +83,7 @@ impl Choices for Obj {
         false
     }
 
-    fn begin(
-        &self,
-        _points: u64,
-        _attributes: &[Attribute],
-        _origin: &Origin,
-    ) -> Result<(Vec<u8>, Box<dyn Rows>), FormatError> {
+    fn begin(&self, _points: u64, _attributes: &[Attribute], _origin: &Origin) -> Result<Begun, FormatError> {
         Err(FormatError::read_only(self))
     }
 }

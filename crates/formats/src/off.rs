@@ -4,7 +4,7 @@ use std::fmt;
 use std::ops::Range;
 
 use super::columns::TextColumn;
-use super::kind::{Choices, Kind, Mark, Opened, Rows};
+use super::kind::{Begun, Choices, Kind, Mark, Opened};
 use super::mesh::Polygons;
 use super::ply::Ply;
 use super::reader::{Block, Ending, Points};
@@ -63,12 +63,7 @@ impl Choices for Off {
         false
     }
 
-    fn begin(
-        &self,
-        _points: u64,
-        _attributes: &[Attribute],
-        _origin: &Origin,
-    ) -> Result<(Vec<u8>, Box<dyn Rows>), FormatError> {
+    fn begin(&self, _points: u64, _attributes: &[Attribute], _origin: &Origin) -> Result<Begun, FormatError> {
         Err(FormatError::read_only(self))
     }
 }

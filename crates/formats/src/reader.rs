@@ -203,6 +203,7 @@ impl<'r> CloudReader<'r> {
                 .notes
                 .push(format!("{options}: for text; this is {}, and tells its own", self.header.format));
         }
+        ending.origin.named_in = Some(self.header.format.kind());
         ending.origin.sha256 = Some(self.source.sha256()?);
         Ok(ending)
     }

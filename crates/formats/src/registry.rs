@@ -42,6 +42,13 @@ macro_rules! formats {
                 }
             }
 
+            /// A word for the kind of format, whatever the choices within it.
+            pub(crate) fn kind(self) -> &'static str {
+                match self {
+                    $( Self::$name { .. } => stringify!($module), )+
+                }
+            }
+
             /// What files of this format begin with, if not with points.
             pub(crate) fn beginning(self) -> Option<&'static str> {
                 match self {

@@ -40,6 +40,11 @@ impl Spool {
         Self { store: Store::File(Window::new(file, length)), most: IN_MEMORY }
     }
 
+    /// The most memory that `bytes` take in a spool, twice where it grows; more only where no temporary file can be written.
+    pub(crate) fn most_held(bytes: u64) -> u64 {
+        2 * bytes.min(IN_MEMORY as u64)
+    }
+
     /// How many bytes there are.
     pub(crate) fn len(&self) -> u64 {
         match &self.store {
@@ -187,6 +192,14 @@ impl Window {
         Ok(())
     }
 
+    /// Reads much at once, without a copy in the stretch, of which nothing is unwritten.
+    fn read_past(&mut self, out: &mut [u8]) -> io::Result<usize> {
+        self.file.seek(SeekFrom::Start(self.place))?;
+        let count = (&mut self.file).take(self.length - self.place).read(out)?;
+        self.place += count as u64;
+        Ok(count)
+    }
+
     /// All bytes of the file, the unwritten ones included.
     fn all(&mut self) -> io::Result<Vec<u8>> {
         let mut all = Vec::new();
@@ -207,6 +220,9 @@ impl Read for Window {
     fn read(&mut self, out: &mut [u8]) -> io::Result<usize> {
         if self.place >= self.length || out.is_empty() {
             return Ok(0);
+        }
+        if out.len() >= WINDOW as usize && !self.is_changed {
+            return self.read_past(out);
         }
         let from = self.hold()?;
         let there = self.bytes.get(from..).unwrap_or_default();

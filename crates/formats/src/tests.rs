@@ -2,11 +2,14 @@
 
 mod blocks;
 mod broken;
+mod conversions;
 mod dialects;
 mod e57_files;
 mod findings;
+mod hostile_names;
 mod kitti_files;
 mod known;
+mod las_counts;
 mod las_files;
 mod layers;
 mod mesh_clouds;
@@ -24,10 +27,10 @@ fn read(bytes: &[u8]) -> Result<Cloud, FormatError> {
     CloudReader::open(bytes, Limits::default())?.read()
 }
 
-/// As [`read`], without the hash, which no cloud has that was never in a file.
+/// As [`read`], without the hash and the kind of file, which no cloud has that was never in one.
 fn read_content(bytes: &[u8]) -> Result<Cloud, FormatError> {
     let mut cloud = read(bytes)?;
-    cloud.origin.sha256 = None;
+    (cloud.origin.sha256, cloud.origin.named_in) = (None, None);
     Ok(cloud)
 }
 

@@ -77,7 +77,7 @@ impl Prepared {
     /// # Errors
     /// [`PrepareError`]. Targets that are impossible for this cloud are found by the cascade.
     pub fn new(
-        cloud: Cloud,
+        mut cloud: Cloud,
         input: Format,
         options: Options,
         model: &ModelName,
@@ -105,6 +105,7 @@ impl Prepared {
             points_out = target.points_out(survey.finite as u64).unwrap_or_default();
             format = format.fine_enough(survey.bounds, survey.result_spacing(points_out));
         }
+        warnings.extend(input.adapt(&mut cloud.attributes, format));
         let (mut origin, lost) = finish.origin(&cloud);
         warnings.extend(lost);
         let request = Request::new(cloud, target, settings, finish);
@@ -129,8 +130,8 @@ impl Prepared {
 }
 
 impl Report {
-    /// Adds what is known once the result is there: how many points it has, what was done to the input, and what its
-    /// format has no place for.
+    /// Adds what is known once the result is there: how many points it has, what was done to the input, what its format
+    /// has no place for, and what has another name there.
     pub fn complete(&mut self, made: &Made) {
         self.points_out = made.positions.len() as u64;
         self.warnings.extend(made.warnings());
@@ -138,13 +139,18 @@ impl Report {
         if !lost.is_empty() {
             self.warnings.push(format!("the result's format has no place for {}", lost.join(", ")));
         }
+        let renamed = self.format.renamed(&made.attributes, &self.origin);
+        if !renamed.is_empty() {
+            let pairs: Vec<String> = renamed.iter().map(|(from, to)| format!("{from:?} as {to:?}")).collect();
+            self.warnings.push(format!("in the result's file, names are others: {}", pairs.join(", ")));
+        }
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use densecloud_cloud::{Attribute, Values};
+    use densecloud_cloud::{Attribute, Kind, Values};
     use densecloud_formats::{PlyEncoding, Scalar};
 
     fn prepare(cloud: Cloud, options: &[(&str, &str)]) -> Result<Prepared, PrepareError> {
@@ -196,5 +202,43 @@ mod tests {
         assert_eq!(why, "no attribute \"blue\"; the input has red");
         let why = prepare(Cloud::from(grid(0.0)), &[("attributes", "blue:drop")]).expect_err("no blue");
         assert!(why.to_string().ends_with("the input has none"), "{why}");
+    }
+
+    #[test]
+    fn columns_from_text_have_the_types_of_their_places() {
+        let column =
+            |name: &str, number: f64| Attribute { name: name.into(), values: Values::F64(vec![number; 100]) };
+        let attributes =
+            vec![column("Red", 17.0), column("Green", 255.0), column("Blue", 0.0), column("width", 2.0)];
+        let cloud = Cloud { attributes, ..Cloud::from(grid(0.0)) };
+        let kinds = |wanted: &str| {
+            let options = Options::parse(&[("ratio", "4")]).expect("options");
+            let options = Options { format: Format::from_extension(wanted.as_ref()), ..options };
+            let prepared = Prepared::new(cloud.clone(), Format::TEXT, options, &ModelName::default())
+                .expect("a request");
+            let kinds = prepared.request.cloud.attributes.iter().map(|a| a.values.kind());
+            kinds.collect::<Vec<_>>()
+        };
+        let wide = Kind::F64;
+        assert_eq!(kinds("a.ply"), [Kind::U8, Kind::U8, Kind::U8, wide]);
+        assert_eq!(kinds("a.las"), [Kind::U8, Kind::U8, Kind::U8, wide]);
+        assert_eq!(kinds("a.csv"), [wide; 4]);
+    }
+
+    #[test]
+    fn names_that_become_others_are_told() {
+        let attribute = |name: &str| Attribute { name: name.into(), values: Values::U16(vec![7; 100]) };
+        let attributes = ["a b", "red", "red"].map(attribute).to_vec();
+        let cloud = Cloud { attributes: attributes.clone(), ..Cloud::from(grid(0.0)) };
+        let Prepared { mut report, .. } = prepare(cloud, &[]).expect("a request");
+        report.complete(&Made {
+            positions: grid(0.0),
+            attributes,
+            dropped_non_finite: 0,
+            duplicates: 0,
+            apart: 0,
+        });
+        let told = report.warnings.last().expect("a warning");
+        assert_eq!(told, "in the result's file, names are others: \"a b\" as \"a_b\", \"red\" as \"red_\"");
     }
 }

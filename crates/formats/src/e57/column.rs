@@ -127,7 +127,7 @@ impl Column {
 
     /// Whether it is one of the format's own flags.
     pub(super) fn is_flag(&self) -> bool {
-        self.name.ends_with(INVALID) && STANDARD.iter().any(|(_, name)| self.name == *name)
+        self.name.ends_with(INVALID) && STANDARD.iter().any(|(.., name)| self.name == *name)
     }
 
     /// A flag that is never set.
@@ -142,7 +142,7 @@ impl Column {
             "red" | "green" | "blue" => format!("color{INVALID}"),
             name => format!("{name}{INVALID}"),
         };
-        let own = STANDARD.iter().any(|(_, name)| flag == *name);
+        let own = STANDARD.iter().any(|(.., name)| flag == *name);
         let needed = own || matches!(self.numbers, Numbers::Whole(_));
         (needed && !self.absent.is_empty() && !self.is_flag()).then_some(flag)
     }

@@ -13,10 +13,11 @@ use std::io::Write;
 
 use ::e57::RecordName;
 
-use super::kind::{Choices, Kind, Mark, Opened, Rows};
+use super::kind::{Choices, Kind, Mark, Opened};
 use super::source::Source;
+use super::spool::Spool;
 use super::{Format, FormatError, Limits, Reading};
-use densecloud_cloud::{Attribute, Origin, Position};
+use densecloud_cloud::{Attribute, Origin, Position, Role};
 
 /// E57, which has no choices.
 #[derive(Debug, Clone, Copy)]
@@ -57,21 +58,35 @@ impl Choices for E57 {
         lost
     }
 
+    fn holds_sensor(&self) -> bool {
+        true
+    }
+
+    fn renamed(&self, attributes: &[Attribute], origin: &Origin) -> Vec<(String, String)> {
+        write::renamed(attributes, origin)
+    }
+
+    fn whole_numbers(&self) -> &'static [Role] {
+        &[
+            Role::Red,
+            Role::Green,
+            Role::Blue,
+            Role::Row,
+            Role::Column,
+            Role::ReturnNumber,
+            Role::NumberOfReturns,
+            Role::ColourInvalid,
+            Role::IntensityInvalid,
+            Role::TimeInvalid,
+        ]
+    }
+
     fn is_packed(&self) -> bool {
         true
     }
 
     fn is_streamed(&self) -> bool {
         false
-    }
-
-    fn begin(
-        &self,
-        _points: u64,
-        _attributes: &[Attribute],
-        _origin: &Origin,
-    ) -> Result<(Vec<u8>, Box<dyn Rows>), FormatError> {
-        Err(FormatError::not_streamed(self))
     }
 
     fn encode(
@@ -81,8 +96,17 @@ impl Choices for E57 {
         attributes: &[Attribute],
         origin: &Origin,
     ) -> Result<(), FormatError> {
-        std::io::copy(&mut write::encode(positions, attributes, origin)?, sink)?;
+        std::io::copy(&mut self.spooled(positions, attributes, origin)?, sink)?;
         Ok(())
+    }
+
+    fn spooled(
+        &self,
+        positions: &[Position],
+        attributes: &[Attribute],
+        origin: &Origin,
+    ) -> Result<Spool, FormatError> {
+        write::encode(positions, attributes, origin)
     }
 }
 
@@ -126,21 +150,21 @@ const RESERVED: [&str; 20] = [
     "isTimeStampInvalid",
 ];
 
-/// Attributes that the format has columns for. The number of a return is counted from 0 in the file, and
-/// from 1 as an attribute, as LAS has it.
-const STANDARD: [(RecordName, &str); 12] = [
-    (RecordName::ColorRed, "red"),
-    (RecordName::ColorGreen, "green"),
-    (RecordName::ColorBlue, "blue"),
-    (RecordName::IsColorInvalid, "color_invalid"),
-    (RecordName::Intensity, "intensity"),
-    (RecordName::IsIntensityInvalid, "intensity_invalid"),
-    (RecordName::RowIndex, "row_index"),
-    (RecordName::ColumnIndex, "column_index"),
-    (RecordName::ReturnIndex, "return_number"),
-    (RecordName::ReturnCount, "number_of_returns"),
-    (RecordName::TimeStamp, "timestamp"),
-    (RecordName::IsTimeStampInvalid, "timestamp_invalid"),
+/// What the format has columns for, and the attributes that these are. The number of a return is counted from 0 in the
+/// file, and from 1 as an attribute, as LAS has it.
+const STANDARD: [(RecordName, Role, &str); 12] = [
+    (RecordName::ColorRed, Role::Red, "red"),
+    (RecordName::ColorGreen, Role::Green, "green"),
+    (RecordName::ColorBlue, Role::Blue, "blue"),
+    (RecordName::IsColorInvalid, Role::ColourInvalid, "color_invalid"),
+    (RecordName::Intensity, Role::Intensity, "intensity"),
+    (RecordName::IsIntensityInvalid, Role::IntensityInvalid, "intensity_invalid"),
+    (RecordName::RowIndex, Role::Row, "row_index"),
+    (RecordName::ColumnIndex, Role::Column, "column_index"),
+    (RecordName::ReturnIndex, Role::ReturnNumber, "return_number"),
+    (RecordName::ReturnCount, Role::NumberOfReturns, "number_of_returns"),
+    (RecordName::TimeStamp, Role::Time, "timestamp"),
+    (RecordName::IsTimeStampInvalid, Role::TimeInvalid, "timestamp_invalid"),
 ];
 
 /// The attribute that tells the scan of each point where there are several.

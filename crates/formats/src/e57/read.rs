@@ -329,8 +329,8 @@ impl Layout {
                     other => other.to_owned(),
                 },
                 RecordName::Unknown { name, .. } => untag(name),
-                standard => match STANDARD.iter().find(|(known, _)| known == standard) {
-                    Some((_, name)) => (*name).to_owned(),
+                standard => match STANDARD.iter().find(|(known, ..)| known == standard) {
+                    Some((.., name)) => (*name).to_owned(),
                     // Coordinates, and what tells of them.
                     None => continue,
                 },

@@ -11,14 +11,17 @@ use sha2::{Digest, Sha256};
 
 use super::super::FormatError;
 use super::super::columns::MAX_COLUMNS;
+use super::super::names::{NameRule, own_names};
 use super::super::spool::Spool;
 use super::{NORMALS, OURS, SCAN, STANDARD, tag};
-use densecloud_cloud::{Attribute, Origin, Position, Values, each_kind};
+use densecloud_cloud::{Attribute, Origin, Position, Role, Values, each_kind};
 
 /// A column of the file.
 struct Column<'a> {
     record: Record,
-    values: &'a Values,
+    attribute: &'a Attribute,
+    /// The attribute's name that it is read as, where it is one of the format's own.
+    own: Option<&'static str>,
     /// What is added to whole numbers.
     shift: i64,
 }
@@ -53,9 +56,8 @@ pub(super) fn encode(
 
 fn write(positions: &[Position], attributes: &[Attribute], origin: &Origin) -> Result<Spool, ::e57::Error> {
     let scan = attributes.iter().find(|a| a.name == SCAN).and_then(|a| Some((a, scans(&a.values)?)));
-    let rest: Vec<&Attribute> =
-        attributes.iter().filter(|a| scan.is_none_or(|(s, _)| a.name != s.name)).collect();
-    let columns = columns(&rest);
+    let mut columns = columns(attributes, origin);
+    columns.retain(|column| scan.is_none_or(|(scan, _)| column.attribute.name != scan.name));
     let prototype: Vec<Record> = axes().into_iter().chain(columns.iter().map(|c| c.record.clone())).collect();
 
     let hash = content_hash(positions, attributes, origin);
@@ -128,49 +130,78 @@ fn scans(values: &Values) -> Option<usize> {
     (seen.len() > 1 && seen.iter().all(|seen| *seen)).then_some(seen.len())
 }
 
+/// The attribute's name of each column that the format has, for those that mean such a one.
+fn own(attributes: &[Attribute], origin: &Origin) -> Vec<Option<&'static str>> {
+    const NORMAL: [(Role, &str); 3] = [(Role::NormalX, "nx"), (Role::NormalY, "ny"), (Role::NormalZ, "nz")];
+    let all: Vec<(Role, &str)> =
+        STANDARD.iter().map(|(_, role, name)| (*role, *name)).chain(NORMAL).collect();
+    own_names(attributes, origin, "e57", &all)
+}
+
+/// A name of any characters.
+const RULE: NameRule = NameRule { most: usize::MAX, allows: |_| true, is_taken: &|_| false };
+
+/// As [`Choices::renamed`](super::super::kind::Choices::renamed).
+pub(super) fn renamed(attributes: &[Attribute], origin: &Origin) -> Vec<(String, String)> {
+    let columns = columns(attributes, origin);
+    let pairs = columns.iter().filter_map(|column| match &column.record.name {
+        RecordName::Unknown { namespace, name } if namespace == OURS.0 => {
+            Some((column.attribute.name.clone(), name.clone()))
+        }
+        _ => None,
+    });
+    pairs.filter(|(from, to)| from != to).collect()
+}
+
 /// The columns of all attributes that the format holds.
-fn columns<'a>(attributes: &[&'a Attribute]) -> Vec<Column<'a>> {
+fn columns<'a>(attributes: &'a [Attribute], origin: &Origin) -> Vec<Column<'a>> {
+    let own = own(attributes, origin);
     let held = |name: &str| {
-        attributes.iter().find(|a| a.name == name && data_type(&a.values).is_some()).map(|a| &a.values)
+        let place = own.iter().position(|own| *own == Some(name))?;
+        Some(&attributes[place].values).filter(|values| data_type(values).is_some())
     };
-    let normals = [["nx", "ny", "nz"], ["normal_x", "normal_y", "normal_z"]];
-    let normals = normals.into_iter().find(|names| names.iter().all(|name| held(name).is_some()));
     let mut columns: Vec<Column> = Vec::new();
-    for attribute in attributes.iter().take(MAX_COLUMNS) {
+    for (attribute, own) in attributes.iter().zip(&own).take(MAX_COLUMNS) {
         let Some(mut data_type) = data_type(&attribute.values) else { continue };
-        let (name, values) = (attribute.name.as_str(), &attribute.values);
-        let standard = STANDARD.iter().find(|(_, own)| *own == name).map(|(record, _)| record.clone());
+        let own = own.and_then(|own| Some((own, own_column(own, &attribute.values, held)?)));
         let mut shift = 0;
-        let record = match standard.filter(|record| fits(record, values, held)) {
-            Some(record) => {
-                match (&record, &mut data_type) {
-                    (RecordName::ReturnIndex, RecordDataType::Integer { min, max }) => {
-                        (shift, *min, *max) = (-1, 0, max.saturating_sub(1));
-                    }
-                    _ if is_flag(&record) => data_type = RecordDataType::Integer { min: 0, max: 1 },
-                    _ => {}
-                }
-                record
+        match (own.as_ref().map(|(_, record)| record), &mut data_type) {
+            (Some(RecordName::ReturnIndex), RecordDataType::Integer { min, max }) => {
+                (shift, *min, *max) = (-1, 0, max.saturating_sub(1));
             }
-            None => {
-                let axis = normals.and_then(|names| names.iter().position(|axis| *axis == name));
-                let (namespace, mut name) = match axis {
-                    Some(axis) => (NORMALS.0, ["normalX", "normalY", "normalZ"][axis].to_owned()),
-                    None => (OURS.0, tag(name)),
-                };
-                let unknown = |name: &str| RecordName::Unknown {
-                    namespace: namespace.to_owned(),
-                    name: name.to_owned(),
-                };
-                while columns.iter().any(|column| column.record.name == unknown(&name)) {
-                    name.push('_');
-                }
-                unknown(&name)
-            }
-        };
-        columns.push(Column { record: Record { name: record, data_type }, values, shift });
+            (Some(record), _) if is_flag(record) => data_type = RecordDataType::Integer { min: 0, max: 1 },
+            _ => {}
+        }
+        let (own, name) = own.map_or((None, unknown(OURS.0, "")), |(own, record)| (Some(own), record));
+        columns.push(Column { record: Record { name, data_type }, attribute, own, shift });
+    }
+    // The others have no name that one of the format's own columns is read as.
+    let names: Vec<&str> =
+        columns.iter().map(|column| column.own.unwrap_or(&column.attribute.name)).collect();
+    let names = RULE.apply(&names);
+    for (column, name) in columns.iter_mut().zip(names).filter(|(column, _)| column.own.is_none()) {
+        column.record.name = unknown(OURS.0, &tag(&name));
     }
     columns
+}
+
+/// The column of the format's own that is read as an attribute of this name, if it takes these values beside others that are
+/// `held`.
+fn own_column<'a>(
+    own: &str,
+    values: &Values,
+    held: impl Fn(&str) -> Option<&'a Values>,
+) -> Option<RecordName> {
+    if let Some((record, ..)) = STANDARD.iter().find(|(.., name)| *name == own) {
+        return fits(record, values, held).then(|| record.clone());
+    }
+    let has_normals = ["nx", "ny", "nz"].iter().all(|name| held(name).is_some());
+    has_normals.then(|| unknown(NORMALS.0, &format!("normal{}", own[1..].to_uppercase())))
+}
+
+/// A column of an extension.
+fn unknown(namespace: &str, name: &str) -> RecordName {
+    RecordName::Unknown { namespace: namespace.to_owned(), name: name.to_owned() }
 }
 
 /// Whether these values can stand in a column of the format's own, beside others that are `held`.
@@ -229,7 +260,7 @@ fn data_type(values: &Values) -> Option<RecordDataType> {
 
 impl Column<'_> {
     fn value(&self, i: usize) -> RecordValue {
-        match self.values {
+        match &self.attribute.values {
             Values::F32(v) => RecordValue::Single(v[i]),
             Values::F64(v) => RecordValue::Double(v[i]),
             Values::I64(v) => RecordValue::Integer(v[i] + self.shift),
@@ -243,8 +274,8 @@ impl Column<'_> {
 
 /// The range of the numbers, which viewers need for shades of grey.
 fn limits(column: &Column) -> Option<IntensityLimits> {
-    let number = |i: usize| column.values.get(i);
-    let all = || (0..column.values.len()).filter(|i| number(*i).is_finite());
+    let number = |i: usize| column.attribute.values.get(i);
+    let all = || (0..column.attribute.values.len()).filter(|i| number(*i).is_finite());
     let lowest = all().min_by(|a, b| number(*a).total_cmp(&number(*b)))?;
     let highest = all().max_by(|a, b| number(*a).total_cmp(&number(*b)))?;
     let (lowest, highest) = (column.value(lowest), column.value(highest));

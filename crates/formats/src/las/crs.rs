@@ -1,7 +1,8 @@
 //! The coordinate reference system: well-known text, or the keys of GeoTIFF.
 
+use super::super::names::cut;
 use super::LasRecord;
-use super::records::{MOST, cut, number, text};
+use super::records::{MOST, number, text};
 use densecloud_cloud::Crs;
 
 const USER: &str = "LASF_Projection";

@@ -54,6 +54,11 @@ pub(super) const KINDS: [Kind; 10] = [
 /// Bytes of an entry in the record of extra bytes.
 pub(super) const ENTRY: usize = 192;
 
+/// The type of the numbers that an entry of the record of extra bytes describes, if each is one.
+pub(super) fn kind(entry: &[u8]) -> Option<Kind> {
+    KINDS.get(usize::from(entry[2]).checked_sub(1)?).copied()
+}
+
 /// The scale and the offset in an entry of the record of extra bytes.
 pub(super) fn scale(entry: &[u8]) -> Option<(f64, f64)> {
     let options = entry[3];

@@ -108,19 +108,18 @@ impl Field {
         }
     }
 
-    /// Whether the field holds these numbers as they are; angles are rounded to its steps.
-    pub(super) fn holds(&self, values: &Values) -> bool {
-        let all = |holds: &dyn Fn(f64) -> bool| (0..values.len()).all(|i| holds(values.get(i)));
-        let whole = |most: u32| all(&|v| v.fract() == 0.0 && (0.0..=f64::from(most)).contains(&v));
+    /// Whether the field holds these numbers of a type as they are; angles are rounded to its steps.
+    pub(super) fn holds(&self, kind: Kind, mut numbers: impl Iterator<Item = f64>) -> bool {
+        let mut whole = |most: u32| numbers.all(|v| v.fract() == 0.0 && (0.0..=f64::from(most)).contains(&v));
         match self.form {
             Form::Bits { count, .. } => whole((1 << count) - 1),
             Form::Word => whole(u16::MAX.into()),
-            Form::Double => match values.kind() {
-                Kind::I64 | Kind::U64 => all(&|v| v.abs() <= (1_u64 << 53) as f64),
+            Form::Double => match kind {
+                Kind::I64 | Kind::U64 => numbers.all(|v| v.abs() <= (1_u64 << 53) as f64),
                 _ => true,
             },
-            Form::Degrees => all(&|v| v.round().abs() <= f64::from(i8::MAX)),
-            Form::Steps => all(&|v| (v / f64::from(ANGLE)).round().abs() <= f64::from(i16::MAX)),
+            Form::Degrees => numbers.all(|v| v.round().abs() <= f64::from(i8::MAX)),
+            Form::Steps => numbers.all(|v| (v / f64::from(ANGLE)).round().abs() <= f64::from(i16::MAX)),
         }
     }
 

@@ -4,24 +4,51 @@
 //! bytes and put there by [`layout`], and the records are read by [`records`], since the crate knows only
 //! the first of those after the points.
 
+mod check;
 mod crs;
 mod extra;
+mod head;
 mod layout;
 mod origin;
 mod plan;
 mod read;
 mod records;
+mod seen;
 mod write;
 
 use std::fmt;
-use std::io::Write;
+use std::io::Seek;
 
-use super::kind::{Choices, Kind, Mark, Opened, Rows};
+use super::kind::{Begun, Choices, FirstPass, Kind, Mark, Opened};
 use super::source::Source;
+use super::spool::Spool;
 use super::{Format, FormatError, Limits, Reading};
-use densecloud_cloud::{Attribute, Origin, Position};
+use densecloud_cloud::{Attribute, Origin, Position, Role};
+use plan::Plan;
+use seen::Seen;
 
 pub(super) use origin::{LasExtra, LasOrigin, LasRecord};
+
+/// What fields hold in whole numbers.
+const WHOLE: &[Role] = &[
+    Role::Red,
+    Role::Green,
+    Role::Blue,
+    Role::NearInfrared,
+    Role::Intensity,
+    Role::ReturnNumber,
+    Role::NumberOfReturns,
+    Role::Classification,
+    Role::UserData,
+    Role::PointSource,
+    Role::ScanDirection,
+    Role::EdgeOfFlightLine,
+    Role::Synthetic,
+    Role::KeyPoint,
+    Role::Withheld,
+    Role::Overlap,
+    Role::ScannerChannel,
+];
 
 /// LAS with its choices made.
 #[derive(Debug, Clone, Copy)]
@@ -67,10 +94,18 @@ impl Choices for Las {
         if LasOrigin::of(origin).is_some_and(|las| las.is_indexed) {
             lost.push("the index of the points (COPC or LAX)".to_owned());
         }
-        if origin.sensor.is_some() {
-            lost.push("the sensor's place".to_owned());
-        }
         lost
+    }
+
+    fn renamed(&self, attributes: &[Attribute], origin: &Origin) -> Vec<(String, String)> {
+        let mut seen = Seen::new(*self, attributes, origin);
+        seen.see_numbers(attributes, 0..attributes.first().map_or(0, |first| first.values.len()));
+        // Where there is no plan, nothing is written.
+        Plan::new(&seen).map(|plan| plan.renamed).unwrap_or_default()
+    }
+
+    fn whole_numbers(&self) -> &'static [Role] {
+        WHOLE
     }
 
     fn is_packed(&self) -> bool {
@@ -78,7 +113,7 @@ impl Choices for Las {
     }
 
     fn is_streamed(&self) -> bool {
-        false
+        !self.compressed
     }
 
     /// Each record has fields that the cloud need not have.
@@ -86,23 +121,27 @@ impl Choices for Las {
         position + attributes + 24
     }
 
-    fn begin(
-        &self,
-        _points: u64,
-        _attributes: &[Attribute],
-        _origin: &Origin,
-    ) -> Result<(Vec<u8>, Box<dyn Rows>), FormatError> {
-        Err(FormatError::not_streamed(self))
+    fn begin(&self, _points: u64, _attributes: &[Attribute], _origin: &Origin) -> Result<Begun, FormatError> {
+        Err(FormatError::NotWritten(format!("the header of {self} depends on all points: see them first")))
     }
 
-    fn encode(
+    fn first_pass(&self, attributes: &[Attribute], origin: &Origin) -> Option<Box<dyn FirstPass>> {
+        Some(Box::new(Seen::new(*self, attributes, origin)))
+    }
+
+    fn spooled(
         &self,
-        sink: &mut dyn Write,
         positions: &[Position],
         attributes: &[Attribute],
         origin: &Origin,
-    ) -> Result<(), FormatError> {
-        write::encode(*self, sink, positions, attributes, origin)
+    ) -> Result<Spool, FormatError> {
+        if self.compressed {
+            return write::packed(*self, positions, attributes, origin);
+        }
+        let mut file = Spool::new();
+        self.encode(&mut file, positions, attributes, origin)?;
+        file.rewind()?;
+        Ok(file)
     }
 }
 

@@ -1,58 +1,56 @@
 //! What a cloud is as LAS: the point format, the steps of coordinates, and where each attribute goes.
 
-use std::borrow::Cow;
-
 use las::Transform;
 use las::point::Format;
 
 use super::super::FormatError;
-use super::extra::{ENTRY, KINDS, scale};
+use super::super::names::NameRule;
+use super::extra::{ENTRY, KINDS, kind, scale};
 use super::layout::{self, Field};
-use super::records::{MOST, cut, provenance, text};
+use super::records::{MOST, provenance};
+use super::seen::{Seen, SeenColumn};
 use super::{LasOrigin, LasRecord, crs};
-use densecloud_cloud::{Attribute, Origin, Position, Values, each_kind};
+use densecloud_cloud::{Attribute, Kind, Position, Values, each_kind};
 
 /// Steps from an offset that are surely written: the crate rounds the bounds outwards, by less than the rest.
 const FARTHEST: f64 = 2_147_483_600.0;
 
 /// What goes where.
-pub(super) struct Plan<'a> {
-    pub(super) las: Cow<'a, LasOrigin>,
+pub(super) struct Plan {
+    pub(super) las: LasOrigin,
     pub(super) format: Format,
     pub(super) minor: u8,
     pub(super) axes: [Transform; 3],
     /// The least and the greatest step along each axis.
     pub(super) reach: Option<[(i32, i32); 3]>,
-    pub(super) columns: Vec<Column<'a>>,
+    columns: Vec<Column>,
     pub(super) records: Vec<LasRecord>,
+    /// How many points are each of the returns 1 to 15.
+    pub(super) returns: [u64; 15],
+    /// Attributes in extra bytes under another name, and that name.
+    pub(super) renamed: Vec<(String, String)>,
 }
 
-/// An attribute, and where its numbers go.
-pub(super) struct Column<'a> {
-    place: Spot,
-    pub(super) values: Cow<'a, Values>,
+/// Where an attribute's numbers go, and how.
+enum Column {
+    /// Into a field, multiplied by a factor.
+    Field { attribute: usize, field: Field, factor: f64 },
+    /// As they are, from this byte of the row on.
+    Plain { attribute: usize, at: usize },
+    /// As an entry of the record of extra bytes says, from this byte of the row on.
+    Scaled { attribute: usize, at: usize, kind: Kind, scale: f64, shift: f64 },
+    /// The number 1, whatever the point.
+    One { field: Field },
 }
 
-enum Spot {
-    Field(Field),
-    /// From this byte of the row on.
-    Extra(usize),
-}
-
-impl<'a> Plan<'a> {
-    /// Makes a pass over all columns: scale, offset, version and types depend on every point.
+impl Plan {
+    /// Scale, offset, version and types, which depend on every point.
     ///
     /// # Errors
-    /// A coordinate is no number, or a point's attributes do not fit into 64 KiB.
-    pub(super) fn new(
-        positions: &[Position],
-        attributes: &'a [Attribute],
-        origin: &'a Origin,
-    ) -> Result<Self, FormatError> {
-        let las = match LasOrigin::of(origin) {
-            Some(las) => Cow::Borrowed(las),
-            None => Cow::Owned(fresh(attributes, origin)),
-        };
+    /// The cloud is too large for 32-bit steps, or a point's attributes do not fit into 64 KiB.
+    pub(super) fn new(seen: &Seen) -> Result<Self, FormatError> {
+        let origin = &seen.origin;
+        let las = LasOrigin::of(origin).cloned().unwrap_or_else(|| fresh(seen));
         let mut format = Format::new(las.point_format).map_err(failed)?;
         format.has_waveform = false;
         let mut records = las.records.clone();
@@ -65,27 +63,38 @@ impl<'a> Plan<'a> {
         let fields = layout::fields(format);
         let mut free = fields.clone();
         let (mut columns, mut others) = (Vec::new(), Vec::new());
-        for attribute in attributes {
-            let values = widened(attribute);
-            let field = free.iter().position(|f| f.name == attribute.name && f.holds(&values));
-            match field {
-                Some(i) => columns.push(Column { place: Spot::Field(free.swap_remove(i)), values }),
-                None => others.push(attribute),
+        let (mut returns, mut renamed) = ([0; 15], Vec::new());
+        for (attribute, column) in seen.columns.iter().enumerate() {
+            let Some(i) = free.iter().position(|field| column.fits(field.name)) else {
+                others.push((attribute, column));
+                continue;
+            };
+            let field = free.swap_remove(i);
+            if field.name == "return_number" {
+                returns = column.returns;
             }
+            columns.push(Column::Field { attribute, field, factor: column.factor });
         }
         // A return that nothing is known of is the only one; there is no return 0.
         for field in free.into_iter().filter(|f| matches!(f.name, "return_number" | "number_of_returns")) {
-            let ones = Values::U8(vec![1; positions.len()]);
-            columns.push(Column { place: Spot::Field(field), values: Cow::Owned(ones) });
+            if field.name == "return_number" {
+                returns[0] = seen.points;
+            }
+            columns.push(Column::One { field });
         }
         let mut at = usize::from(format.len());
-        let mut entries = Vec::new();
-        for attribute in others {
-            let (entry, values) = described(attribute, &las, &fields, &entries);
+        let mut entries: Vec<Vec<u8>> = Vec::new();
+        let names = extra_names(&others, &fields);
+        for ((attribute, column), name) in others.into_iter().zip(names) {
+            let entry = described(column, &name);
+            let kind = kind(&entry).unwrap_or(column.kind);
+            columns.push(match scale(&entry) {
+                None => Column::Plain { attribute, at },
+                Some((scale, shift)) => Column::Scaled { attribute, at, kind, scale, shift },
+            });
             entries.push(entry);
-            let size = values.kind().size();
-            columns.push(Column { place: Spot::Extra(at), values });
-            at += size;
+            renamed.extend((column.name != name).then(|| (column.name.clone(), name)));
+            at += kind.size();
         }
         let extra = at - usize::from(format.len());
         if at > usize::from(u16::MAX) {
@@ -105,18 +114,25 @@ impl<'a> Plan<'a> {
         let needs_latest = format.is_extended
             || records.iter().any(|record| record.data.len() > MOST)
             // Older headers count five returns, though three bits hold seven.
-            || columns.iter().any(|c| c.is("return_number") && (0..c.values.len()).any(|i| c.values.get(i) > 5.0));
+            || returns[5..].iter().any(|count| *count > 0);
         let minor = if needs_latest { 4 } else { las.version.1.clamp(2, 4) };
-        let bounds = bounds(positions)?;
-        let axes = transforms(bounds, positions.len(), &las)?;
+        let bounds = seen.bounds.unwrap_or_default();
+        let axes = transforms(bounds, seen.points, &las)?;
         // Steps are the same order as coordinates.
         let reach = [0, 1, 2].map(|i| (steps(axes[i], bounds[i].0), steps(axes[i], bounds[i].1)));
-        let reach = (!positions.is_empty()).then_some(reach);
-        Ok(Self { las, format, minor, axes, reach, columns, records })
+        let reach = (seen.points > 0).then_some(reach);
+        Ok(Self { las, format, minor, axes, reach, columns, records, returns, renamed })
     }
 
     /// Puts points into rows of `stride` bytes. The first point's attributes are at row `from`.
-    pub(super) fn fill(&self, rows: &mut [u8], stride: usize, positions: &[Position], from: usize) {
+    pub(super) fn fill(
+        &self,
+        rows: &mut [u8],
+        stride: usize,
+        positions: &[Position],
+        attributes: &[Attribute],
+        from: usize,
+    ) {
         rows.fill(0);
         for (row, position) in rows.chunks_exact_mut(stride).zip(positions) {
             for ((place, axis), coordinate) in row[..12].chunks_exact_mut(4).zip(self.axes).zip(position) {
@@ -124,21 +140,8 @@ impl<'a> Plan<'a> {
             }
         }
         for column in &self.columns {
-            column.put(rows, stride, from);
+            column.put(rows, stride, attributes, from);
         }
-    }
-
-    /// How many points are each of the returns 1 to 15.
-    pub(super) fn returns(&self) -> [u64; 15] {
-        let mut returns = [0; 15];
-        if let Some(column) = self.columns.iter().find(|column| column.is("return_number")) {
-            for number in (0..column.values.len()).map(|i| column.values.get(i) as usize) {
-                if let Some(count) = number.checked_sub(1).and_then(|i| returns.get_mut(i)) {
-                    *count += 1;
-                }
-            }
-        }
-        returns
     }
 
     /// The source's global encoding, where that is still true.
@@ -162,14 +165,10 @@ pub(super) fn failed(why: las::Error) -> FormatError {
 }
 
 /// The header of a file that comes from no LAS.
-fn fresh(attributes: &[Attribute], origin: &Origin) -> LasOrigin {
-    let fits = |format: u8, name: &str| {
-        let fields = Format::new(format).map(layout::fields).unwrap_or_default();
-        let attribute = attributes.iter().find(|a| a.name == name);
-        attribute.is_some_and(|a| fields.iter().any(|f| f.name == name && f.holds(&widened(a))))
-    };
-    let has_colour = ["red", "green", "blue"].iter().all(|name| fits(8, name));
-    let point_format = match (origin.crs.as_ref().is_none_or(crs::is_wkt), has_colour, fits(8, "nir")) {
+fn fresh(seen: &Seen) -> LasOrigin {
+    let fits = |field: &str| seen.columns.iter().any(|column| column.fits(field));
+    let has_colour = ["red", "green", "blue"].into_iter().all(fits);
+    let point_format = match (seen.origin.crs.as_ref().is_none_or(crs::is_wkt), has_colour, fits("nir")) {
         (true, true, true) => 8,
         (true, true, false) => 7,
         (true, false, _) => 6,
@@ -179,9 +178,7 @@ fn fresh(attributes: &[Attribute], origin: &Origin) -> LasOrigin {
     let mut system_identifier = [0; 32];
     system_identifier[..5].copy_from_slice(b"OTHER");
     // Seconds of a week, or, beyond those, standard time.
-    let week = 0.0..=604_800.0;
-    let is_standard = |a: &Attribute| (0..a.values.len()).any(|i| !week.contains(&a.values.get(i)));
-    let time = u16::from(attributes.iter().any(|a| a.name == "gps_time" && is_standard(a)));
+    let time = u16::from(seen.columns.iter().any(|column| column.leaves_week));
     let wkt = if point_format >= 6 { 16 } else { 0 };
     LasOrigin {
         version: (1, 4),
@@ -192,75 +189,47 @@ fn fresh(attributes: &[Attribute], origin: &Origin) -> LasOrigin {
     }
 }
 
-/// An attribute's numbers as LAS has them: colours of 8 bits are stretched to 16.
-fn widened(attribute: &Attribute) -> Cow<'_, Values> {
-    match (attribute.name.as_str(), &attribute.values) {
-        ("red" | "green" | "blue", Values::U8(column)) => {
-            Cow::Owned(Values::U16(column.iter().map(|v| u16::from(*v) * 257).collect()))
-        }
-        (_, values) => Cow::Borrowed(values),
-    }
-}
-
-/// The entry of an attribute in the record of extra bytes, and its numbers as they are stored: as in the
-/// source's file if they fit into that, else in the attribute's own type.
-fn described<'a>(
-    attribute: &'a Attribute,
-    las: &LasOrigin,
-    fields: &[Field],
-    others: &[Vec<u8>],
-) -> (Vec<u8>, Cow<'a, Values>) {
-    if let Some(extra) = las.extra.iter().find(|extra| extra.name == attribute.name)
-        && let Some(values) = stored(&attribute.values, &extra.entry)
-    {
-        return (extra.entry.clone(), values);
-    }
-    let taken = |name: &str| {
-        fields.iter().any(|f| f.name == name) || others.iter().any(|entry| text(&entry[4..36]) == name)
+/// The names of attributes in extra bytes: no other program should take one for a field.
+fn extra_names(others: &[(usize, &SeenColumn)], fields: &[Field]) -> Vec<String> {
+    /// What programs call coordinates, and bytes that several fields share, if not by a field's name.
+    const OTHERS: [&str; 11] = [
+        "x",
+        "y",
+        "z",
+        "bit_fields",
+        "raw_classification",
+        "classification_flags",
+        "classflags",
+        "scan_angle_rank",
+        "scananglerank",
+        "scanchannel",
+        "infrared",
+    ];
+    let is_field = |name: &str| fields.iter().any(|f| f.name == name || f.name.replace('_', "") == name);
+    let is_taken = |name: &str| {
+        let name = name.to_ascii_lowercase();
+        OTHERS.contains(&name.as_str()) || is_field(&name)
     };
-    let mut name = cut(attribute.name.replace('\0', "_"), 32);
-    let mut copies = 0;
-    while taken(&name) {
-        copies += 1;
-        let end = "_".repeat(copies);
-        name = cut(attribute.name.clone(), 32_usize.saturating_sub(copies)) + &end;
-    }
-    let kind = attribute.values.kind();
-    let mut entry = vec![0; ENTRY];
-    // There are ten types.
-    entry[2] = KINDS.iter().position(|k| *k == kind).map_or(0, |i| i as u8 + 1);
-    entry[4..4 + name.len()].copy_from_slice(name.as_bytes());
-    (entry, Cow::Borrowed(&attribute.values))
+    let allows = |c: char| !c.is_control() && c != char::REPLACEMENT_CHARACTER;
+    let rule = NameRule { most: 32, allows, is_taken: &is_taken };
+    rule.apply_to(&others.iter().map(|(i, column)| (*i, column.name.as_str())).collect::<Vec<_>>())
 }
 
-/// An attribute's numbers as an entry says, rounded to its steps; none where they do not fit.
-fn stored<'a>(values: &'a Values, entry: &[u8]) -> Option<Cow<'a, Values>> {
-    let kind = *KINDS.get(usize::from(entry[2]).checked_sub(1)?)?;
-    let Some((scale, shift)) = scale(entry) else {
-        return (values.kind() == kind).then_some(Cow::Borrowed(values));
-    };
-    if !scale.is_normal() {
-        return None;
+/// The entry of an attribute in the record of extra bytes: that of the source's file, or one of the attribute's own type.
+fn described(column: &SeenColumn, name: &str) -> Vec<u8> {
+    let mut entry = column.entry.clone().unwrap_or_else(|| {
+        let mut entry = vec![0; ENTRY];
+        // There are ten types.
+        entry[2] = KINDS.iter().position(|kind| *kind == column.kind).map_or(0, |i| i as u8 + 1);
+        entry
+    });
+    let place = &mut entry[4..36];
+    let end = place.iter().position(|byte| *byte == 0).unwrap_or(place.len());
+    if std::str::from_utf8(&place[..end]).map(str::trim) != Ok(name) {
+        place.fill(0);
+        place[..name.len()].copy_from_slice(name.as_bytes());
     }
-    let steps = || (0..values.len()).map(|i| (values.get(i) - shift) / scale);
-    let stored = Values::from_f64(kind, steps());
-    let fits = kind.is_float() || steps().enumerate().all(|(i, step)| (stored.get(i) - step).abs() <= 0.5);
-    fits.then_some(Cow::Owned(stored))
-}
-
-/// The least and the greatest coordinate along each axis, 0 where there is no point.
-fn bounds(positions: &[Position]) -> Result<[(f64, f64); 3], FormatError> {
-    let mut bounds = [(0.0, 0.0); 3];
-    for (axis, bounds) in bounds.iter_mut().enumerate() {
-        let along = || positions.iter().map(|p| p[axis]);
-        if let Some(bad) = along().find(|v| !v.is_finite()) {
-            return Err(FormatError::NotWritten(format!("LAS has no coordinate {bad}")));
-        }
-        if !positions.is_empty() {
-            *bounds = (along().fold(f64::INFINITY, f64::min), along().fold(f64::NEG_INFINITY, f64::max));
-        }
-    }
-    Ok(bounds)
+    entry
 }
 
 /// A coordinate as it is stored.
@@ -273,11 +242,7 @@ fn steps(axis: Transform, coordinate: f64) -> i32 {
 /// and for what does not come from LAS, 0.001 or the power of ten that is at most 1e-4 of the points'
 /// distance (the extent over the root of their number), whichever is finer. Coarser, only if 32 bits
 /// cannot hold the extent.
-fn transforms(
-    bounds: [(f64, f64); 3],
-    points: usize,
-    las: &LasOrigin,
-) -> Result<[Transform; 3], FormatError> {
+fn transforms(bounds: [(f64, f64); 3], points: u64, las: &LasOrigin) -> Result<[Transform; 3], FormatError> {
     let extents = bounds.map(|(min, max)| max - min);
     let largest = extents.into_iter().fold(0.0, f64::max);
     if !largest.is_finite() {
@@ -311,7 +276,7 @@ fn transforms(
 }
 
 /// The step for coordinates of this extent, not finer than doubles are about `farthest`.
-fn resolution(extent: f64, farthest: f64, points: usize) -> f64 {
+fn resolution(extent: f64, farthest: f64, points: u64) -> f64 {
     let spacing = extent / (points as f64).sqrt();
     let step = (1e-4 * spacing).min(1e-3).max(1e-15 * farthest);
     if step == 0.0 {
@@ -321,23 +286,34 @@ fn resolution(extent: f64, farthest: f64, points: usize) -> f64 {
     format!("1e{}", step.log10().floor()).parse().unwrap_or(1e-3)
 }
 
-impl Column<'_> {
-    fn is(&self, name: &str) -> bool {
-        matches!(&self.place, Spot::Field(field) if field.name == name)
-    }
-
+impl Column {
     /// Puts the numbers from row `from` on into rows that are zero.
-    fn put(&self, rows: &mut [u8], stride: usize, from: usize) {
-        match self.place {
-            Spot::Field(field) => {
-                field.put(rows, stride, (from..self.values.len()).map(|i| self.values.get(i)));
+    fn put(&self, rows: &mut [u8], stride: usize, attributes: &[Attribute], from: usize) {
+        let count = rows.len() / stride;
+        match *self {
+            Self::One { field } => field.put(rows, stride, std::iter::repeat_n(1.0, count)),
+            Self::Field { attribute, field, factor } => {
+                let values = &attributes[attribute].values;
+                field.put(rows, stride, (from..from + count).map(|i| factor * values.get(i)));
             }
-            Spot::Extra(at) => each_kind!(self.values.as_ref(), column => {
-                for (row, number) in rows.chunks_exact_mut(stride).zip(&column[from..]) {
-                    let bytes = number.to_le_bytes();
-                    row[at..at + bytes.len()].copy_from_slice(&bytes);
-                }
-            }),
+            Self::Plain { attribute, at } => {
+                put_numbers(rows, stride, at, &attributes[attribute].values, from);
+            }
+            Self::Scaled { attribute, at, kind, scale, shift } => {
+                let values = &attributes[attribute].values;
+                let steps = (from..from + count).map(|i| (values.get(i) - shift) / scale);
+                put_numbers(rows, stride, at, &Values::from_f64(kind, steps), 0);
+            }
         }
     }
+}
+
+/// Puts the numbers from row `from` on at byte `at` of each row.
+fn put_numbers(rows: &mut [u8], stride: usize, at: usize, values: &Values, from: usize) {
+    each_kind!(values, column => {
+        for (row, number) in rows.chunks_exact_mut(stride).zip(&column[from..]) {
+            let bytes = number.to_le_bytes();
+            row[at..at + bytes.len()].copy_from_slice(&bytes);
+        }
+    });
 }

@@ -1,6 +1,6 @@
 //! Reading.
 
-use std::io::{ErrorKind, Seek};
+use std::io::ErrorKind;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use las::{PointData, PointDataBuilder, Reader, Transform};
@@ -10,23 +10,15 @@ use super::super::source::Source;
 use super::super::spool::Spool;
 use super::super::{Format, FormatError, Header, Limits, Place};
 use super::extra::{Extra, extra_columns};
+use super::head::{Counts, Head, LONGEST, Rewritten, SHORTEST};
 use super::layout::{self, Field};
 use super::records::{Places, Role, number, records, role};
-use super::{LasExtra, LasOrigin, LasRecord, crs};
+use super::{LasExtra, LasOrigin, LasRecord, check, crs};
 use densecloud_cloud::{self as cloud, Origin, Values};
 
-/// The shortest header, that of version 1.0 to 1.2.
-const SHORTEST: usize = 227;
-
-/// The header up to the point count of version 1.4.
-const LONGEST: usize = 255;
-
-/// Most extra bytes in a compressed point: the decoder has tables of 10 KB for each. Real files have some tens.
-const MOST_EXTRA: usize = 1024;
-
-/// Bytes of points decoded at a time. The bound is in bytes, because the header may claim any number of points and any
-/// length of one.
-const BLOCK: usize = 1 << 22;
+/// Bytes of points decoded at a time, which a core's cache holds while each field is taken from them. The bound is in
+/// bytes, because the header may claim any number of points and any length of one.
+const BLOCK: usize = 1 << 18;
 
 /// What the fixed part of the header tells; the rest is read with the points.
 pub(super) fn open(source: &mut Source<'_>, limits: Limits) -> Result<Header, FormatError> {
@@ -34,9 +26,7 @@ pub(super) fn open(source: &mut Source<'_>, limits: Limits) -> Result<Header, Fo
     if head.len() < SHORTEST {
         return Err(FormatError::truncated(Place::Byte(head.len() as u64), "the LAS header is incomplete"));
     }
-    let legacy = u64::from(number::<4>(head, 107) as u32);
-    let extended = head.len() >= LONGEST && (head[24], head[25]) >= (1, 4);
-    let points = if legacy == 0 && extended { number::<8>(head, 247) } else { legacy };
+    let points = Counts::of(head).points();
     if let Some(limit) = limits.max_points
         && points > limit
     {
@@ -49,145 +39,6 @@ pub(super) fn open(source: &mut Source<'_>, limits: Limits) -> Result<Header, Fo
         attributes: Vec::new(),
         dropped_properties: Vec::new(),
     })
-}
-
-/// The fixed part of a header, up to the point count of version 1.4 where it goes so far.
-struct Head(Vec<u8>);
-
-impl Head {
-    /// From a file that is as long as [`open`] has found.
-    fn of(file: &mut Spool) -> Result<Self, FormatError> {
-        let mut bytes = vec![0; file.len().min(LONGEST as u64) as usize];
-        file.read_at(0, &mut bytes)?;
-        Ok(Self(bytes))
-    }
-
-    fn number<const N: usize>(&self, from: usize) -> u64 {
-        number::<N>(&self.0, from)
-    }
-
-    fn version(&self) -> (u8, u8) {
-        (self.0[24], self.0[25])
-    }
-
-    /// Where the points begin.
-    fn data(&self) -> u64 {
-        self.number::<4>(96)
-    }
-
-    /// The top bits of the point format mean compression.
-    fn is_compressed(&self) -> bool {
-        self.0[104] & 0xC0 != 0
-    }
-
-    /// Where the records after the points begin, and how many the header counts.
-    fn extended(&self) -> Option<(u64, u64)> {
-        let has = self.version() >= (1, 4) && self.0.len() >= 247;
-        has.then(|| (self.number::<8>(235), self.number::<4>(243)))
-    }
-
-    /// What it tells beside the points.
-    fn told(&self) -> LasOrigin {
-        let mut las = LasOrigin {
-            version: self.version(),
-            file_source_id: self.number::<2>(4) as u16,
-            // Reserved before version 1.2.
-            global_encoding: if self.version() >= (1, 2) { self.number::<2>(6) as u16 } else { 0 },
-            created: (self.number::<2>(90) as u16, self.number::<2>(92) as u16),
-            ..LasOrigin::default()
-        };
-        las.guid.copy_from_slice(&self.0[8..24]);
-        las.system_identifier.copy_from_slice(&self.0[26..58]);
-        las
-    }
-}
-
-/// Refuses counts that would be reserved before they are read.
-fn check(file: &mut Spool, head: &Head) -> Result<(), FormatError> {
-    let len = file.len();
-    let inside = |from: u64, count: u64| from.checked_add(count).is_some_and(|end| end <= len);
-    let data = head.data();
-    if !inside(data, 0) {
-        return Err(FormatError::truncated(
-            Place::Byte(len),
-            format!("the points should begin at byte {data}"),
-        ));
-    }
-    if let Some((start, 1..)) = head.extended().filter(|_| len >= LONGEST as u64) {
-        // The first has its length in its head.
-        let length = if inside(start, 60) { file.number::<8>(start + 20)? } else { None };
-        if !length.is_some_and(|length| inside(start + 60, length)) {
-            let why = "the extended records are not inside the file";
-            return Err(FormatError::malformed(Place::Byte(235), why));
-        }
-    }
-    if head.is_compressed() && inside(data, 8) {
-        let table = table_of_chunks(file, data)?;
-        let count = if table >= data + 8 && inside(table, 8) { file.number::<4>(table + 4)? } else { None };
-        if count.is_none_or(|count| count > len) {
-            let why = "the table of compressed chunks is not inside the file";
-            return Err(FormatError::malformed(Place::Byte(data), why));
-        }
-    }
-    Ok(())
-}
-
-/// Refuses what the decoder would make room for before it reads it: more extra bytes than any file has, and
-/// layers (LAZ of point formats 6 and up) that do not fit into the file. A chunk is its first point, the number of its points, the size of each
-/// layer, and the layers; the next one follows.
-fn check_layers(file: &mut Spool, head: &Head, records: &[LasRecord]) -> Result<(), FormatError> {
-    let compression = records.iter().find(|r| r.user_id == "laszip encoded" && r.id == 22_204);
-    let Some(items) = compression.and_then(|r| r.data.get(34..)).filter(|_| head.is_compressed()) else {
-        return Ok(());
-    };
-    // By the numbers that LASzip has for kinds of items: 0 and 14 are extra bytes.
-    let items = || items.chunks_exact(6).map(|item| (number::<2>(item, 0), number::<2>(item, 2) as usize));
-    if let Some((_, size)) = items().find(|(kind, size)| matches!(kind, 0 | 14) && *size > MOST_EXTRA) {
-        let why = format!(
-            "{size} extra bytes a point; of compressed points, at most {MOST_EXTRA} are read: unpack the file to LAS"
-        );
-        return Err(FormatError::malformed(Place::Byte(0), why));
-    }
-    let (mut point, mut layers) = (0, 0);
-    for (kind, size) in items() {
-        point += size;
-        layers += match kind {
-            10 => 9,
-            11 | 13 => 1,
-            12 => 2,
-            14 => size,
-            // Not in layers.
-            _ => return Ok(()),
-        };
-    }
-    // The place of the table of chunks comes before the first.
-    let mut at = head.data().saturating_add(8);
-    if (4 * layers) as u64 > file.len() {
-        return Ok(());
-    }
-    let mut sizes = vec![0; 4 * layers];
-    while file.read_at(at.saturating_add(point as u64 + 4), &mut sizes)? {
-        let total: u64 = sizes.chunks_exact(4).map(|size| number::<4>(size, 0)).sum();
-        let from = at + (point + 4 + 4 * layers) as u64;
-        if total > file.len() - from {
-            // What follows the last chunk is no chunk: then the decoder never comes here.
-            let why = "the layers of compressed points are not inside the file";
-            return if at < table_of_chunks(file, head.data())? {
-                Err(FormatError::malformed(Place::Byte(at), why))
-            } else {
-                Ok(())
-            };
-        }
-        at = from + total;
-    }
-    Ok(())
-}
-
-/// Where the table of chunks begins, in a file whose points begin at `data`, 8 bytes before its end at least.
-fn table_of_chunks(file: &mut Spool, data: u64) -> Result<u64, FormatError> {
-    let table = file.number::<8>(data)?;
-    let table = if table == Some(u64::MAX) { file.number::<8>(file.len() - 8)? } else { table };
-    Ok(table.unwrap_or(u64::MAX))
 }
 
 /// The points of a file, which is opened with the first of them.
@@ -211,6 +62,7 @@ struct Decoder {
     las: LasOrigin,
     records: Vec<LasRecord>,
     dropped: Vec<String>,
+    notes: Vec<String>,
 }
 
 /// A field, which is kept if it always is or is somewhere not zero.
@@ -224,7 +76,7 @@ impl Points for LasPoints {
         if self.0.is_none() {
             let mut file = source.stored()?;
             let head = Head::of(&mut file)?;
-            check(&mut file, &head)?;
+            check::places(&mut file, &head)?;
             let end = Place::Byte(file.len());
             self.0 = Some(guarded(end, || Decoder::open(file, &head))?);
         }
@@ -260,8 +112,8 @@ impl Decoder {
         let end = Place::Byte(file.len());
         let places = Places { before: (head.number::<2>(94), head.number::<4>(100)), after: head.extended() };
         let records = records(&mut file, &places)?;
-        check_layers(&mut file, head, &records)?;
-        file.rewind()?;
+        let notes = check::counts(&mut file, head, &records)?;
+        let file = Rewritten::new(file, head)?;
         let reader = Reader::new(file).map_err(|why| refused(end, why))?;
         let header = reader.header();
         let format = *header.point_format();
@@ -291,6 +143,7 @@ impl Decoder {
             las,
             records,
             dropped,
+            notes,
             reader,
         })
     }
@@ -353,6 +206,6 @@ impl Decoder {
             extra: described,
             ..self.las
         }));
-        Ok(Ending { columns, dropped_properties: self.dropped, notes: Vec::new(), origin })
+        Ok(Ending { columns, dropped_properties: self.dropped, notes: self.notes, origin })
     }
 }

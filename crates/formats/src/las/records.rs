@@ -4,6 +4,7 @@ use std::io;
 
 use las::Vlr;
 
+use super::super::names::cut;
 use super::super::spool::Spool;
 use super::LasRecord;
 use densecloud_cloud::Origin;
@@ -115,12 +116,4 @@ pub(super) fn provenance(origin: &Origin) -> Option<LasRecord> {
 pub(super) fn to_vlr(record: LasRecord) -> Vlr {
     let LasRecord { user_id, id, description, data, .. } = record;
     Vlr { user_id: cut(user_id, 16), record_id: id, description: cut(description, 32), data }
-}
-
-/// The text, shortened to `most` bytes at a character's end.
-pub(super) fn cut(mut text: String, most: usize) -> String {
-    while text.len() > most {
-        text.pop();
-    }
-    text
 }

@@ -5,7 +5,8 @@ mod read;
 
 use std::fmt;
 
-use super::kind::{Choices, Kind, Mark, Opened, Rows};
+use super::kind::{Begun, Choices, Kind, Mark, Opened, Rows};
+use super::names::{NameRule, changes};
 use super::numbers::{Storage, put_rows, put_table};
 use super::source::Source;
 use super::{Format, FormatError, Limits, Reading, Scalar};
@@ -13,6 +14,9 @@ use densecloud_cloud::{Attribute, Kind as Number, Origin, Position, bytes_a_poin
 
 /// What every file begins with.
 const MAGIC: &[u8] = b"\x93NUMPY";
+
+/// Any text names a field.
+const RULE: NameRule = NameRule { most: usize::MAX, allows: |c| !c.is_control(), is_taken: &|_| false };
 
 /// NumPy's format with its choices made.
 #[derive(Debug, Clone, Copy)]
@@ -70,6 +74,13 @@ impl Choices for Npy {
         false
     }
 
+    fn renamed(&self, attributes: &[Attribute], _origin: &Origin) -> Vec<(String, String)> {
+        if is_table(self.fields, attributes) {
+            return Vec::new();
+        }
+        changes(attributes, &vec![None; attributes.len()], names(attributes))
+    }
+
     fn is_streamed(&self) -> bool {
         true
     }
@@ -84,12 +95,7 @@ impl Choices for Npy {
         points.checked_mul(3 * self.scalar.size() + others)?.checked_add(header)
     }
 
-    fn begin(
-        &self,
-        points: u64,
-        attributes: &[Attribute],
-        _origin: &Origin,
-    ) -> Result<(Vec<u8>, Box<dyn Rows>), FormatError> {
+    fn begin(&self, points: u64, attributes: &[Attribute], _origin: &Origin) -> Result<Begun, FormatError> {
         Ok((npy_header(self.scalar, self.fields, points, attributes), Box::new(NpyRows(*self))))
     }
 }
@@ -107,7 +113,7 @@ struct NpyRows(Npy);
 
 impl Rows for NpyRows {
     fn put(
-        &self,
+        &mut self,
         bytes: &mut Vec<u8>,
         positions: &[Position],
         attributes: &[Attribute],
@@ -131,17 +137,10 @@ pub fn npy_header(scalar: Scalar, fields: bool, points: u64, attributes: &[Attri
     let (kind, shape) = if is_table(fields, attributes) {
         (format!("'{float}'"), format!("({points}, {})", 3 + attributes.len()))
     } else {
-        let mut names = ["x", "y", "z"].map(str::to_owned).to_vec();
-        let mut list = names.iter().map(|axis| format!("('{axis}', '{float}')")).collect::<Vec<_>>();
-        for attribute in attributes {
-            let mut name = attribute.name.replace(char::is_control, "_");
-            // Each name is another, and none is empty.
-            while name.is_empty() || names.contains(&name) {
-                name.push('_');
-            }
+        let mut list = ["x", "y", "z"].map(|axis| format!("('{axis}', '{float}')")).to_vec();
+        for (attribute, name) in attributes.iter().zip(names(attributes)) {
             let literal = name.replace('\\', "\\\\").replace('\'', "\\'");
             list.push(format!("('{literal}', '{}')", code(attribute.values.kind())));
-            names.push(name);
         }
         (format!("[{}]", list.join(", ")), format!("({points},)"))
     };
@@ -165,6 +164,11 @@ pub fn npy_header(scalar: Scalar, fields: bool, points: u64, attributes: &[Attri
     }
     bytes.extend(text);
     bytes
+}
+
+/// The names of the fields that attributes become.
+fn names(attributes: &[Attribute]) -> Vec<String> {
+    RULE.apply(&attributes.iter().map(|attribute| attribute.name.as_str()).collect::<Vec<_>>())
 }
 
 /// Whether all is written as one table of floats, and not as fields.

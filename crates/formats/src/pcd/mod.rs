@@ -6,12 +6,12 @@ mod write;
 use std::fmt;
 use std::io::Write;
 
-use super::kind::{Choices, Kind, Mark, Opened, Rows};
+use super::kind::{Begun, Choices, Kind, Mark, Opened};
 use super::numbers::Storage;
 use super::source::Source;
 use super::writer::write_streamed;
 use super::{Format, FormatError, Limits, Reading, Scalar};
-use densecloud_cloud::{Attribute, Origin, Position, bytes_a_point};
+use densecloud_cloud::{Attribute, Origin, Position, Role, bytes_a_point};
 
 /// PCD with its choices made.
 #[derive(Debug, Clone, Copy)]
@@ -91,6 +91,18 @@ impl Choices for Pcd {
         Some(Format::Pcd { encoding: self.encoding, scalar: Scalar::F64 })
     }
 
+    fn holds_sensor(&self) -> bool {
+        true
+    }
+
+    fn renamed(&self, attributes: &[Attribute], origin: &Origin) -> Vec<(String, String)> {
+        write::renamed(attributes, origin)
+    }
+
+    fn whole_numbers(&self) -> &'static [Role] {
+        &[Role::Red, Role::Green, Role::Blue, Role::Alpha]
+    }
+
     fn is_packed(&self) -> bool {
         self.encoding == PcdEncoding::Compressed
     }
@@ -104,8 +116,9 @@ impl Choices for Pcd {
             return None;
         }
         let header = write::header(*self, points, attributes, origin).len() as u64;
-        let fields = write::columns(attributes, self.encoding, 0..0);
-        points.checked_mul(3 * self.scalar.size() + bytes_a_point(&fields))?.checked_add(header)
+        let fields = write::fields(attributes, origin);
+        let columns = write::columns(attributes, &fields, self.encoding, 0..0);
+        points.checked_mul(3 * self.scalar.size() + bytes_a_point(&columns))?.checked_add(header)
     }
 
     fn bytes_a_point(&self, position: u64, attributes: u64) -> u64 {
@@ -115,17 +128,17 @@ impl Choices for Pcd {
         }
     }
 
-    fn begin(
-        &self,
-        points: u64,
-        attributes: &[Attribute],
-        origin: &Origin,
-    ) -> Result<(Vec<u8>, Box<dyn Rows>), FormatError> {
+    /// Rows, columns and what they are compressed to are in memory at a time.
+    fn bytes_at_work(&self, file: u64) -> u64 {
+        if self.is_streamed() { 0 } else { file.saturating_mul(3) }
+    }
+
+    fn begin(&self, points: u64, attributes: &[Attribute], origin: &Origin) -> Result<Begun, FormatError> {
         if !self.is_streamed() {
             return Err(FormatError::not_streamed(self));
         }
         let header = write::header(*self, points, attributes, origin).into_bytes();
-        Ok((header, Box::new(write::PcdRows(*self))))
+        Ok((header, Box::new(write::PcdRows::new(*self, attributes, origin))))
     }
 
     fn encode(

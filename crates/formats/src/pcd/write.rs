@@ -3,26 +3,68 @@
 use std::ops::Range;
 
 use super::super::kind::{Choices, Rows};
-use super::super::numbers::{CRS, one_word, put_rows};
+use super::super::names::{NameRule, changes, meant, own_names};
+use super::super::numbers::{CRS, put_rows};
 use super::super::writer::write_streamed;
 use super::super::{FormatError, Scalar};
 use super::{Pcd, PcdEncoding};
-use densecloud_cloud::{Attribute, Kind, Origin, Position, Values};
+use densecloud_cloud::{Attribute, Kind, Origin, Position, Role, Values};
+
+/// The names that PCL knows, but those of coordinates and of packed colours.
+const OWN: [(Role, &str); 8] = [
+    (Role::Red, "red"),
+    (Role::Green, "green"),
+    (Role::Blue, "blue"),
+    (Role::Alpha, "alpha"),
+    (Role::NormalX, "normal_x"),
+    (Role::NormalY, "normal_y"),
+    (Role::NormalZ, "normal_z"),
+    (Role::Intensity, "intensity"),
+];
+
+/// Names are words, and some readers take no other characters for parts of one. A field `_` is none, and `rgb` holds
+/// three numbers in one.
+const RULE: NameRule = NameRule {
+    most: usize::MAX,
+    allows: |c| c.is_ascii_alphanumeric() || c == '_',
+    is_taken: &|name| matches!(name, "_" | "rgb" | "rgba"),
+};
+
+/// What an attribute becomes.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) enum Field {
+    /// A field of this name, in 32-bit floats where those are what PCL looks for.
+    Named { name: String, is_narrow: bool },
+    /// Colours of 8 bits in one number; the places of red, green, blue, and of alpha if it is there.
+    Packed { colour: [usize; 3], alpha: Option<usize> },
+    /// Part of such a number.
+    Part,
+}
 
 /// Rows of fields.
 #[derive(Debug)]
-pub(super) struct PcdRows(pub(super) Pcd);
+pub(super) struct PcdRows {
+    pcd: Pcd,
+    fields: Vec<Field>,
+}
+
+impl PcdRows {
+    pub(super) fn new(pcd: Pcd, attributes: &[Attribute], origin: &Origin) -> Self {
+        Self { pcd, fields: fields(attributes, origin) }
+    }
+}
 
 impl Rows for PcdRows {
     fn put(
-        &self,
+        &mut self,
         bytes: &mut Vec<u8>,
         positions: &[Position],
         attributes: &[Attribute],
         from: usize,
     ) -> Result<(), FormatError> {
-        let fields = columns(attributes, self.0.encoding, from..from + positions.len());
-        put_rows(bytes, positions, &fields, 0, self.0.encoding.storage(), self.0.scalar)
+        let Pcd { encoding, scalar } = self.pcd;
+        let columns = columns(attributes, &self.fields, encoding, from..from + positions.len());
+        put_rows(bytes, positions, &columns, 0, encoding.storage(), scalar)
     }
 }
 
@@ -39,9 +81,9 @@ pub(super) fn header(pcd: Pcd, points: u64, attributes: &[Attribute], origin: &O
     let [mut names, mut sizes, mut types, mut counts] =
         ["FIELDS x y z", "SIZE", "TYPE F F F", "COUNT 1 1 1"].map(str::to_owned);
     sizes += &format!(" {}", scalar.size()).repeat(3);
-    for column in columns(attributes, encoding, 0..0) {
+    for column in columns(attributes, &fields(attributes, origin), encoding, 0..0) {
         let kind = column.values.kind();
-        names += &format!(" {}", one_word(&column.name).replace('#', "_"));
+        names += &format!(" {}", column.name);
         sizes += &format!(" {}", kind.size());
         types += match kind {
             Kind::F32 | Kind::F64 => " F",
@@ -60,55 +102,76 @@ pub(super) fn header(pcd: Pcd, points: u64, attributes: &[Attribute], origin: &O
     text
 }
 
-/// The fields of some rows beside the position: as the attributes, but colours of 8 bits are packed into
-/// one number, `rgb` or, with `alpha`, `rgba`, and normals have the names and the type that PCL looks for.
-pub(super) fn columns(attributes: &[Attribute], encoding: PcdEncoding, rows: Range<usize>) -> Vec<Attribute> {
-    // Clouds are counted in 32 bits everywhere.
-    let rows: Vec<u32> = rows.map(|row| row as u32).collect();
-    let find = |name: &str| attributes.iter().find(|a| a.name == name);
-    let bytes = |name: &str| match find(name).map(|a| &a.values) {
-        Some(Values::U8(column)) => Some(column.as_slice()),
-        _ => None,
-    };
-    let has_normals = ["nx", "ny", "nz"].iter().all(|name| find(name).is_some());
-    let colour = match [bytes("red"), bytes("green"), bytes("blue")] {
+/// What attributes become: as they are, but colours of 8 bits are packed into one number, `rgb` or, with `alpha`, `rgba`,
+/// and normals have the names and the type that PCL looks for.
+pub(super) fn fields(attributes: &[Attribute], origin: &Origin) -> Vec<Field> {
+    let own = own_names(attributes, origin, "pcd", &OWN);
+    let place = |name: &str| own.iter().position(|own| *own == Some(name));
+    let bytes = |name: &str| place(name).filter(|place| attributes[*place].values.kind() == Kind::U8);
+    let colour = match ["red", "green", "blue"].map(bytes) {
         [Some(red), Some(green), Some(blue)] => Some([red, green, blue]),
         _ => None,
     };
     let alpha = bytes("alpha");
-    let mut columns = Vec::with_capacity(attributes.len());
-    for attribute in attributes {
-        let name = attribute.name.as_str();
-        match (name, colour) {
-            ("red", Some([red, green, blue])) => {
-                let packed = rows.iter().map(|row| {
-                    let row = *row as usize;
-                    u32::from_be_bytes([alpha.map_or(0, |a| a[row]), red[row], green[row], blue[row]])
-                });
-                // PCL calls the bits of `rgb` a float, but writes them as the whole number in text.
-                let (name, values) = match (alpha, encoding) {
-                    (Some(_), _) => ("rgba", Values::U32(packed.collect())),
-                    (None, PcdEncoding::Ascii) => ("rgb", Values::U32(packed.collect())),
-                    (None, _) => ("rgb", Values::F32(packed.map(f32::from_bits).collect())),
-                };
-                columns.push(Attribute { name: name.to_owned(), values });
-            }
-            ("green" | "blue", Some(_)) => {}
-            ("alpha", Some(_)) if alpha.is_some() => {}
-            _ => {
-                let values = attribute.values.gather(&rows);
-                columns.push(match name {
-                    "nx" | "ny" | "nz" if has_normals => {
-                        let numbers = (0..values.len()).map(|i| values.get(i));
-                        let values = Values::from_f64(Kind::F32, numbers);
-                        Attribute { name: format!("normal_{}", &name[1..]), values }
-                    }
-                    _ => Attribute { name: name.to_owned(), values },
-                });
-            }
+    let names = RULE.apply(&meant(attributes, &own));
+    let fields = names.into_iter().enumerate().map(|(i, name)| match colour {
+        Some(colour) if colour[0] == i => Field::Packed { colour, alpha },
+        Some(colour) if colour.contains(&i) || alpha == Some(i) => Field::Part,
+        _ => Field::Named { name, is_narrow: own[i].is_some_and(|own| own.starts_with("normal_")) },
+    });
+    fields.collect()
+}
+
+/// As [`Choices::renamed`](super::super::kind::Choices::renamed).
+pub(super) fn renamed(attributes: &[Attribute], origin: &Origin) -> Vec<(String, String)> {
+    let own = own_names(attributes, origin, "pcd", &OWN);
+    let names =
+        fields(attributes, origin).into_iter().zip(attributes).map(|(field, attribute)| match field {
+            Field::Named { name, .. } => name,
+            Field::Packed { .. } | Field::Part => attribute.name.clone(),
+        });
+    changes(attributes, &own, names.collect())
+}
+
+/// The fields of some rows beside the position.
+pub(super) fn columns(
+    attributes: &[Attribute],
+    fields: &[Field],
+    encoding: PcdEncoding,
+    rows: Range<usize>,
+) -> Vec<Attribute> {
+    // Clouds are counted in 32 bits everywhere.
+    let rows: Vec<u32> = rows.map(|row| row as u32).collect();
+    let bytes = |place: usize| match &attributes[place].values {
+        Values::U8(column) => column.as_slice(),
+        _ => &[],
+    };
+    let column = |(attribute, field): (&Attribute, &Field)| match field {
+        Field::Part => None,
+        Field::Packed { colour: [red, green, blue], alpha } => {
+            let [red, green, blue] = [*red, *green, *blue].map(bytes);
+            let opacity = alpha.map(bytes);
+            let packed = rows.iter().map(|row| {
+                let row = *row as usize;
+                u32::from_be_bytes([opacity.map_or(0, |a| a[row]), red[row], green[row], blue[row]])
+            });
+            // PCL calls the bits of `rgb` a float, but writes them as the whole number in text.
+            let (name, values) = match (alpha, encoding) {
+                (Some(_), _) => ("rgba", Values::U32(packed.collect())),
+                (None, PcdEncoding::Ascii) => ("rgb", Values::U32(packed.collect())),
+                (None, _) => ("rgb", Values::F32(packed.map(f32::from_bits).collect())),
+            };
+            Some(Attribute { name: name.to_owned(), values })
         }
-    }
-    columns
+        Field::Named { name, is_narrow } => {
+            let mut values = attribute.values.gather(&rows);
+            if *is_narrow {
+                values = Values::from_f64(Kind::F32, (0..values.len()).map(|i| values.get(i)));
+            }
+            Some(Attribute { name: name.clone(), values })
+        }
+    };
+    attributes.iter().zip(fields).filter_map(column).collect()
 }
 
 /// A cloud as a file of one compressed block; as plain binary where compression gains nothing, or where
@@ -127,8 +190,8 @@ pub(super) fn encode_compressed(
     let mut rows = Vec::new();
     write_streamed(&mut rows, begun, positions, attributes)?;
     let mut sizes = vec![scalar.size() as usize; 3];
-    let fields = columns(attributes, PcdEncoding::Compressed, 0..0);
-    sizes.extend(fields.iter().map(|field| field.values.kind().size()));
+    let columns = columns(attributes, &fields(attributes, origin), PcdEncoding::Compressed, 0..0);
+    sizes.extend(columns.iter().map(|column| column.values.kind().size()));
     let stride: usize = sizes.iter().sum();
     let mut block = Vec::with_capacity(rows.len() - begin);
     let mut from = 0;

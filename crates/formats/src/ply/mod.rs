@@ -8,11 +8,11 @@ mod write;
 
 use std::fmt;
 
-use super::kind::{Choices, Kind, Mark, Opened, Rows};
+use super::kind::{Begun, Choices, Kind, Mark, Opened};
 use super::numbers::Storage;
 use super::source::Source;
 use super::{Format, FormatError, Limits, Reading, Scalar};
-use densecloud_cloud::{Attribute, Origin, Table, bytes_a_point};
+use densecloud_cloud::{Attribute, Origin, Role, Table, bytes_a_point};
 
 pub(super) use mesh::read_mesh;
 
@@ -111,6 +111,14 @@ impl Choices for Ply {
         true
     }
 
+    fn renamed(&self, attributes: &[Attribute], origin: &Origin) -> Vec<(String, String)> {
+        write::renamed(attributes, origin)
+    }
+
+    fn whole_numbers(&self) -> &'static [Role] {
+        &[Role::Red, Role::Green, Role::Blue, Role::Alpha]
+    }
+
     fn is_streamed(&self) -> bool {
         true
     }
@@ -132,12 +140,7 @@ impl Choices for Ply {
         }
     }
 
-    fn begin(
-        &self,
-        points: u64,
-        attributes: &[Attribute],
-        origin: &Origin,
-    ) -> Result<(Vec<u8>, Box<dyn Rows>), FormatError> {
+    fn begin(&self, points: u64, attributes: &[Attribute], origin: &Origin) -> Result<Begun, FormatError> {
         let header = write::header(*self, points, attributes, origin).into_bytes();
         Ok((header, Box::new(write::PlyRows::new(*self, origin))))
     }

@@ -6,10 +6,26 @@ use std::sync::Arc;
 use super::super::FormatError;
 use super::super::Scalar;
 use super::super::kind::Rows;
+use super::super::names::{NameRule, changes, meant, own_names};
 use super::super::numbers::{CRS, Storage, one_word, put_number, put_rows};
 use super::Ply;
 use super::header::kind_name;
-use densecloud_cloud::{Attribute, Column, Origin, Position, Table};
+use densecloud_cloud::{Attribute, Column, Origin, Position, Role, Table};
+
+/// The names that viewers show as colours and normals.
+const OWN: [(Role, &str); 7] = [
+    (Role::Red, "red"),
+    (Role::Green, "green"),
+    (Role::Blue, "blue"),
+    (Role::Alpha, "alpha"),
+    (Role::NormalX, "nx"),
+    (Role::NormalY, "ny"),
+    (Role::NormalZ, "nz"),
+];
+
+/// A header is ASCII, and some readers have 256 bytes for a word.
+const RULE: NameRule =
+    NameRule { most: 255, allows: |c| c.is_ascii_graphic(), is_taken: &|name| name == "end_header" };
 
 /// Bytes of a table gathered between two writes to the sink.
 const FLUSH: usize = 64 * 1024;
@@ -29,7 +45,7 @@ impl PlyRows {
 
 impl Rows for PlyRows {
     fn put(
-        &self,
+        &mut self,
         bytes: &mut Vec<u8>,
         positions: &[Position],
         attributes: &[Attribute],
@@ -38,7 +54,7 @@ impl Rows for PlyRows {
         put_rows(bytes, positions, attributes, from, self.ply.encoding.storage(), self.ply.scalar)
     }
 
-    fn end(&self, sink: &mut dyn Write) -> Result<(), FormatError> {
+    fn end(&mut self, sink: &mut dyn Write) -> Result<(), FormatError> {
         let storage = self.ply.encoding.storage();
         self.tables.iter().try_for_each(|table| write_table(sink, storage, table))
     }
@@ -62,9 +78,8 @@ pub(super) fn header(ply: Ply, points: u64, attributes: &[Attribute], origin: &O
     for axis in ["x", "y", "z"] {
         header += &format!("property {scalar} {axis}\n");
     }
-    for attribute in attributes {
-        let kind = kind_name(attribute.values.kind());
-        header += &format!("property {kind} {}\n", one_word(&attribute.name));
+    for (attribute, name) in attributes.iter().zip(names(attributes, origin)) {
+        header += &format!("property {} {name}\n", kind_name(attribute.values.kind()));
     }
     for table in origin.tables.iter() {
         header += &format!("element {} {}\n", one_word(&table.name), table.rows);
@@ -79,6 +94,17 @@ pub(super) fn header(ply: Ply, points: u64, attributes: &[Attribute], origin: &O
         }
     }
     header + "end_header\n"
+}
+
+/// The names of the properties that attributes become.
+fn names(attributes: &[Attribute], origin: &Origin) -> Vec<String> {
+    RULE.apply(&meant(attributes, &own_names(attributes, origin, "ply", &OWN)))
+}
+
+/// As [`Choices::renamed`](super::super::kind::Choices::renamed).
+pub(super) fn renamed(attributes: &[Attribute], origin: &Origin) -> Vec<(String, String)> {
+    let own = own_names(attributes, origin, "ply", &OWN);
+    changes(attributes, &own, RULE.apply(&meant(attributes, &own)))
 }
 
 /// Writes an element of a PLY file row by row.

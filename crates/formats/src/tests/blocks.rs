@@ -203,6 +203,69 @@ fn no_format_but_compressed_pcd_is_written_in_one_piece() {
     }
 }
 
+#[test]
+fn a_file_of_blocks_that_were_seen_is_that_of_the_whole_cloud() {
+    let cloud = cloud(10_000);
+    let mut from_las = read(&file(&cloud, LAS)).expect("a cloud");
+    // A sixth return, a fraction of intensity and a far point, each in the last block alone.
+    for attribute in &mut from_las.attributes {
+        let numbers = (0..10_000).map(|i| if i == 9_999 { 6.5 } else { attribute.values.get(i) });
+        match attribute.name.as_str() {
+            "return_number" => attribute.values = Values::from_f64(Kind::U8, numbers),
+            "intensity" => attribute.values = Values::F64(numbers.collect()),
+            _ => {}
+        }
+    }
+    from_las.positions[9_999] = [5e6, 1.0, 1.0];
+    for cloud in [&cloud, &from_las] {
+        for format in streamed().into_iter().chain([LAS, LAZ]) {
+            let whole = file(cloud, format);
+            for rows in [1, 77, 9_999, 20_000] {
+                // Each block has columns of its own, as those of a reader.
+                let blocks: Vec<Cloud> = (0..10_000)
+                    .step_by(rows)
+                    .map(|from| {
+                        let rows: Vec<u32> = (from as u32..10_000.min((from + rows) as u32)).collect();
+                        let part = |a: &Attribute| Attribute {
+                            name: a.name.clone(),
+                            values: a.values.gather(&rows),
+                        };
+                        let positions = rows.iter().map(|row| cloud.positions[*row as usize]).collect();
+                        let attributes = cloud.attributes.iter().map(part).collect();
+                        Cloud { positions, attributes, ..Cloud::default() }
+                    })
+                    .collect();
+                let mut plan = CloudPlan::new(format, &cloud.attributes, &cloud.origin);
+                for block in &blocks {
+                    plan.see(&block.positions, &block.attributes, 0).expect("a place");
+                }
+                let mut writer = plan.begin(Vec::new()).expect("a header");
+                for block in &blocks {
+                    writer.write_rows(&block.positions, &block.attributes, 0).expect("points");
+                }
+                assert!(writer.finish().expect("a file") == whole, "{format}, {rows} rows");
+            }
+        }
+    }
+    for format in [Format::E57, Format::Pcd { encoding: PcdEncoding::Compressed, scalar: Scalar::F32 }] {
+        let error = CloudPlan::new(format, &[], &Origin::default()).begin(Vec::new()).expect_err("a whole");
+        assert!(error.to_string().contains("as a whole"), "{error}");
+    }
+}
+
+#[test]
+fn a_spooled_file_is_the_same() {
+    let cloud = cloud(3000);
+    let compressed = Format::Pcd { encoding: PcdEncoding::Compressed, scalar: Scalar::F32 };
+    for format in streamed().into_iter().chain([LAS, LAZ, Format::E57, compressed]) {
+        let mut spooled = Vec::new();
+        encode_spooled(format, &cloud.positions, &cloud.attributes, &cloud.origin)
+            .and_then(|mut file| Ok(file.read_to_end(&mut spooled)?))
+            .expect("a file");
+        assert!(spooled == file(&cloud, format), "{format}");
+    }
+}
+
 /// What makes a format is its folder and its entry in the registry.
 #[test]
 fn no_other_file_names_a_format() {

@@ -128,8 +128,8 @@ fn extra_bytes_are_read_and_what_is_not_kept_is_named() {
 
 #[test]
 fn las_is_refused_where_it_cannot_be_read_or_written() {
-    let error = CloudWriter::new(Vec::new(), LAS, 1).expect_err("not in parts").to_string();
-    assert!(error.contains("as a whole"), "{error}");
+    let error = CloudWriter::new(Vec::new(), LAS, 1).expect_err("nothing seen").to_string();
+    assert!(error.contains("depends on all points"), "{error}");
     let write = |positions: &[Position]| encode(Vec::new(), LAS, positions, &[], &Origin::default());
     for bad in [f64::NAN, f64::INFINITY] {
         let error = write(&[[0.0; 3], [0.0, bad, 0.0]]).expect_err("no coordinate").to_string();

@@ -138,7 +138,7 @@ fn what_is_written_reads_back_and_its_length_is_known() {
         assert!(cloud.positions == positions);
         assert_eq!(cloud.attributes.len(), kept);
         for (read, (given, name)) in
-            cloud.attributes.iter().zip(attributes.iter().zip(["it's a \\", "größe_", "x_", "_"]))
+            cloud.attributes.iter().zip(attributes.iter().zip(["it's a \\", "größe_", "x_", "column 7"]))
         {
             assert!(read.name == name && read.values == given.values, "{name}");
         }

@@ -187,7 +187,7 @@ fn everything(alpha: bool) -> Cloud {
     {
         add(name, bytes(i as u8));
     }
-    add("a", Values::I8(vec![-1; 300]));
+    add("k", Values::I8(vec![-1; 300]));
     add("b", bytes(9));
     add("c", Values::I16(vec![i16::MIN; 300]));
     add("d", Values::U16(vec![u16::MAX; 300]));

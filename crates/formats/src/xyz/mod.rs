@@ -11,7 +11,7 @@ mod sample;
 
 use std::fmt;
 
-use super::kind::{Choices, Kind, Mark, Opened, Rows};
+use super::kind::{Begun, Choices, Kind, Mark, Opened, Rows};
 use super::numbers::{Storage, put_rows};
 use super::reading::{AXES, DECIMAL, SEPARATOR};
 use super::source::Source;
@@ -112,23 +112,14 @@ impl Choices for Xyz {
         Storage::text_bytes(position, attributes)
     }
 
-    fn begin(
-        &self,
-        _points: u64,
-        attributes: &[Attribute],
-        origin: &Origin,
-    ) -> Result<(Vec<u8>, Box<dyn Rows>), FormatError> {
+    fn begin(&self, _points: u64, attributes: &[Attribute], origin: &Origin) -> Result<Begun, FormatError> {
         let header =
             if self.names { Line::of(attributes, origin, self.separator).text } else { String::new() };
         Ok((header.into_bytes(), Box::new(XyzRows(*self))))
     }
 
-    fn not_held(&self, attributes: &[Attribute], origin: &Origin) -> Vec<String> {
-        let mut lost = origin.extra.as_ref().map(|extra| extra.lost_elsewhere()).unwrap_or_default();
-        if self.names {
-            lost.extend(Line::of(attributes, origin, self.separator).changed);
-        }
-        lost
+    fn renamed(&self, attributes: &[Attribute], origin: &Origin) -> Vec<(String, String)> {
+        if self.names { Line::of(attributes, origin, self.separator).renamed } else { Vec::new() }
     }
 }
 
@@ -154,7 +145,7 @@ struct XyzRows(Xyz);
 
 impl Rows for XyzRows {
     fn put(
-        &self,
+        &mut self,
         bytes: &mut Vec<u8>,
         positions: &[Position],
         attributes: &[Attribute],

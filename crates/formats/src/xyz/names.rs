@@ -11,8 +11,8 @@ use super::heading::{Style, unique};
 /// A line of names, and what is told of it.
 pub(super) struct Line {
     pub(super) text: String,
-    /// Names that are written in another way, a phrase each.
-    pub(super) changed: Vec<String>,
+    /// The attributes that have another name there, and that name.
+    pub(super) renamed: Vec<(String, String)>,
 }
 
 impl Line {
@@ -34,12 +34,10 @@ impl Line {
                 written(&axes, &renamed(&|name| written(&axes, std::slice::from_ref(name)).is_none()))
             })
             .unwrap_or_else(|| [&axes[..], &unique_all(&axes, &renamed(&|name| is_axis(name)))].concat());
-        let changed = attributes.iter().zip(&names[3..]).filter(|(attribute, name)| attribute.name != **name);
-        let changed = changed
-            .map(|(attribute, name)| format!("the name `{}` (written as `{name}`)", attribute.name))
-            .collect();
+        let renamed = attributes.iter().zip(&names[3..]).filter(|(attribute, name)| attribute.name != **name);
+        let renamed = renamed.map(|(attribute, name)| (attribute.name.clone(), name.clone())).collect();
         let names: Vec<String> = names.iter().map(|name| field(name, separator, quoted)).collect();
-        Self { text: format!("{prefix}{}\n", names.join(separator.as_str())), changed }
+        Self { text: format!("{prefix}{}\n", names.join(separator.as_str())), renamed }
     }
 }
 

@@ -1,6 +1,6 @@
 //! Sending a result: encoded block by block as fast as the client reads, and no faster.
 
-use std::io::{self, Write};
+use std::io::{self, Read, Write};
 use std::ops::Range;
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -10,7 +10,7 @@ use tokio::task::spawn_blocking;
 
 use crate::admission::budget::Held;
 use densecloud_cloud::{Attribute, Origin, Position};
-use densecloud_formats::{CloudWriter, Format, FormatError, encode};
+use densecloud_formats::{CloudPlan, CloudWriter, Encoded, Format, FormatError, encode_spooled};
 
 /// Points encoded at a time: 48 KiB in the commonest format, well under a millisecond of work.
 pub(crate) const BLOCK: usize = 4096;
@@ -25,11 +25,10 @@ pub(crate) struct Dense {
     pub(crate) origin: Origin,
 }
 
-/// Memory of a result until it is sent. `attribute_bytes`: those of one point.
+/// Memory of a result until it is sent: the points, and what making the file takes. `attribute_bytes`: those of one point.
 pub(crate) fn result_bytes(points: u64, attribute_bytes: u64, format: Format) -> u64 {
     let a_point = size_of::<Position>() as u64 + attribute_bytes;
-    // What is not streamed is there as points and as the file, and in between as what is compressed.
-    points.saturating_mul(if format.is_streamed() { a_point } else { 3 * a_point + 16 })
+    points.saturating_mul(a_point).saturating_add(format.bytes_at_work(points, attribute_bytes))
 }
 
 /// About the bytes of a result's file, mostly more than it will have. The arguments are those of [`result_bytes`].
@@ -70,7 +69,8 @@ enum Stage {
     /// The same writer as the command line's, so that both give the same bytes.
     Rows(CloudWriter<Sink>),
     /// What is left of a file that could only be made as a whole.
-    Whole(Bytes),
+    Whole(Encoded),
+    End,
 }
 
 impl Encoder {
@@ -79,10 +79,11 @@ impl Encoder {
         let Dense { positions, attributes, origin } = &self.dense;
         if let Stage::Start = self.stage {
             self.stage = if self.format.is_streamed() {
-                let points = positions.len() as u64;
-                Stage::Rows(CloudWriter::with(self.sink.clone(), self.format, points, attributes, origin)?)
+                let mut plan = CloudPlan::new(self.format, attributes, origin);
+                plan.see(positions, attributes, 0)?;
+                Stage::Rows(plan.begin(self.sink.clone())?)
             } else {
-                Stage::Whole(encode(Vec::new(), self.format, positions, attributes, origin)?.into())
+                Stage::Whole(encode_spooled(self.format, positions, attributes, origin)?)
             };
         }
         match &mut self.stage {
@@ -91,14 +92,17 @@ impl Encoder {
                 writer.write_rows(&positions[start..end], attributes, start)?;
                 self.next = end;
                 if end == positions.len()
-                    && let Stage::Rows(writer) =
-                        std::mem::replace(&mut self.stage, Stage::Whole(Bytes::new()))
+                    && let Stage::Rows(writer) = std::mem::replace(&mut self.stage, Stage::End)
                 {
                     writer.finish()?;
                 }
                 Ok(Some(self.sink.take()))
             }
-            Stage::Whole(rest) if !rest.is_empty() => Ok(Some(rest.split_to(rest.len().min(CHUNK)))),
+            Stage::Whole(file) => {
+                let mut chunk = Vec::with_capacity(CHUNK);
+                file.take(CHUNK as u64).read_to_end(&mut chunk)?;
+                Ok((!chunk.is_empty()).then(|| chunk.into()))
+            }
             _ => Ok(None),
         }
     }
@@ -131,7 +135,7 @@ mod tests {
     use super::*;
     use crate::admission::budget::Budget;
     use densecloud_cloud::Values;
-    use densecloud_formats::{Decimal, PcdEncoding, PlyEncoding, Scalar, Separator};
+    use densecloud_formats::{Decimal, PcdEncoding, PlyEncoding, Scalar, Separator, encode};
 
     #[tokio::test]
     async fn the_body_is_what_one_writer_would_have_written_at_once() {
@@ -143,6 +147,8 @@ mod tests {
             ply(PlyEncoding::BinaryLittleEndian, Scalar::F32),
             ply(PlyEncoding::BinaryBigEndian, Scalar::F64),
             Format::Npy { scalar: Scalar::F64, fields: true },
+            Format::Las { compressed: false },
+            Format::Las { compressed: true },
             Format::E57,
         ] {
             for count in [0, 1, BLOCK - 1, BLOCK, BLOCK + 1, 3 * BLOCK] {

@@ -39,8 +39,11 @@ pub enum GoalError {
     },
     /// Outside what the cascade does.
     #[error(
-        "that takes {points:.0} points, {:.2} for each of the {from}; from 1 to {MAX_RATIO} is possible here: \
-         spacing {:.3e} to {:.3e}, density {:.3e} to {:.3e}", points / *from as f64, spacing[0], spacing[1], density[0], density[1]
+        "that takes {} points, {} for each of the {from}; from 1 to {MAX_RATIO} is possible here: \
+         spacing {} to {}, density {} to {}",
+        if *points < 1e7 { format!("{points:.0}") } else { readable(*points) },
+        readable(points / *from as f64), readable(spacing[0]), readable(spacing[1]), readable(density[0]),
+        readable(density[1])
     )]
     OutOfRange {
         /// Points that the wish takes.
@@ -55,6 +58,18 @@ pub enum GoalError {
     /// There is no surface to measure.
     #[error(transparent)]
     Cloud(#[from] FrameError),
+}
+
+/// A positive number for people: four digits that matter, or all before the point, and a power of ten where there would be more than
+/// seven of those, or zeros behind the point.
+fn readable(number: f64) -> String {
+    if !(1e-3..1e7).contains(&number) {
+        return format!("{number:.3e}");
+    }
+    // From -3 to 6.
+    let decimals = (3 - number.log10().floor() as i32).max(0) as usize;
+    let text = format!("{number:.decimals$}");
+    if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
 }
 
 /// The mean distance to the nearest neighbour of so many points on a surface of this area.

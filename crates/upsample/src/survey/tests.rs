@@ -133,4 +133,8 @@ fn a_goal_becomes_a_number_of_points() {
         let error = goal.target(&points).expect_err("an error").to_string();
         assert!(error.contains(what), "{error}");
     }
+    // Far from possible: numbers that can still be read.
+    let error = Goal::Spacing(1e-9).target(&points).expect_err("an error").to_string();
+    let longest = error.split([' ', ',']).map(str::len).max();
+    assert!(longest.is_some_and(|longest| longest <= 9) && error.contains("e19 points"), "{error}");
 }
