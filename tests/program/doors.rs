@@ -124,8 +124,8 @@ impl Doors {
     }
 
     fn library(&self, input: &Path, options: &[(&'static str, String)]) -> Result<Vec<u8>, String> {
-        let input = Input::read(input).map_err(|error| error.to_string())?;
         let options = Options::parse(options).map_err(|error| error.to_string())?;
+        let input = Input::read_as(input, &options.reading).map_err(|error| error.to_string())?;
         let dense = self.library.upsample(input, options).map_err(|error| error.to_string())?;
         let mut bytes = Vec::new();
         dense.write(&mut bytes).map_err(|error| error.to_string())?;
@@ -240,6 +240,50 @@ fn points_that_are_not_finite_do_not_decide_the_format() {
     let bytes = doors.library(&input, &options).expect("a dense cloud");
     assert!(doors.command(&input, &options, &[]).as_ref() == Some(&bytes));
     assert!(doors.http(&body, &options).as_ref() == Some(&bytes));
+}
+
+/// A table that tells neither its coordinates nor its marks.
+#[test]
+fn every_door_reads_text_as_it_is_told() {
+    let doors = Doors::open();
+    let mut body = "number,first,second,third\n".to_owned();
+    for i in 0..150 {
+        let (x, y) = (i % 15, i / 15);
+        let _ = writeln!(body, "{i},{y},{},{x}", (x * y) % 4);
+    }
+    let input = doors.folder.path().join("in.csv");
+    std::fs::write(&input, &body).expect("a file");
+    let options = |options: &[(&'static str, &str)]| -> Vec<(&'static str, String)> {
+        let all = std::iter::once(("ratio", "2")).chain(options.iter().copied());
+        all.map(|(name, value)| (name, value.to_owned())).collect()
+    };
+    let told = options(&[
+        ("axes", "third,first,3"),
+        ("separator", "comma"),
+        ("decimal", "point"),
+        ("format", "text"),
+    ]);
+    let library = doors.library(&input, &told).expect("a dense cloud");
+    let url = doors.serving.url("");
+    for (door, bytes) in [
+        ("command line", doors.command(&input, &told, &[])),
+        ("command line by a server", doors.command(&input, &told, &["--server", &url])),
+        ("HTTP", doors.http(&body, &told)),
+        ("job", doors.job(&body, &told)),
+        ("gRPC", doors.grpc(&body, &told)),
+    ] {
+        assert!(bytes.as_ref() == Some(&library), "{door}");
+    }
+    let text = String::from_utf8(library).expect("UTF-8");
+    assert!(text.starts_with("x,y,z,number\n"), "{}", &text[..40]);
+    // What does not fit is refused behind each.
+    for (name, value) in [("axes", "a,b,c"), ("separator", "tab"), ("format", "ply")] {
+        let wrong = options(&[(name, value)]);
+        assert!(doors.library(&input, &wrong).is_err(), "{name}={value}");
+        assert!(doors.command(&input, &wrong, &[]).is_none(), "{name}={value}");
+        assert!(doors.http(&body, &wrong).is_none() && doors.grpc(&body, &wrong).is_none(), "{name}={value}");
+    }
+    assert!(doors.http(&body, &options(&[])).is_none(), "no coordinates are named");
 }
 
 fn text(path: &Path) -> &str {

@@ -86,6 +86,21 @@ fn a_form_is_a_query_and_a_body_in_any_order() {
 }
 
 #[test]
+fn how_a_file_is_read_may_be_said_after_it() {
+    let server = Server::start(&Scripted::new(), Config { limits: small(), ..Config::default() });
+    let rows: String = (0..400).map(|i| format!("{i};{},5;{};{}\n", i % 20, i / 20, i % 7)).collect();
+    let told = "/upsample?ratio=2&axes=2,3,4&separator=semicolon";
+    let plain = server.post(told, rows.as_bytes());
+    assert_eq!(plain.status, 200, "{}", plain.text());
+    let parts = [File("cloud", rows.as_bytes()), Option("axes", "2,3,4"), Option("separator", ";")];
+    let reply = send(&server, "/upsample?ratio=2", &parts);
+    assert!(reply.status == 200 && reply.body == plain.body, "{}", reply.text());
+    // Nothing tells of these bytes what they are, and nothing says it.
+    let parts = [File("cloud", &[1; 8192]), Option("format", "text")];
+    assert_eq!(send(&server, "/upsample?ratio=2", &parts).problem_name(), "unsupported-format");
+}
+
+#[test]
 fn a_job_is_submitted_with_a_form_and_again_under_its_key() {
     let folder = tempfile::tempdir().expect("a folder");
     let config =

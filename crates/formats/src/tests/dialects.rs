@@ -330,7 +330,22 @@ fn options_say_what_the_lines_do_not() {
         read_as(text, &reading(&[("decimal", "comma")])).expect("a cloud").positions[1],
         [4.0, 5.0, 6.0]
     );
-    assert!(read_as(text, &reading(&[("separator", "comma")])).is_err());
+    let why =
+        read_as(text, &reading(&[("separator", "comma"), ("decimal", "point")])).expect_err("semicolons");
+    assert_eq!(
+        why.to_string(),
+        "line 1: no line has three numbers by --separator comma and --decimal point; this one is `1;2;3`"
+    );
+    let why = read_as("1,5,2,5\n", &reading(&[("decimal", "comma")])).expect_err("no separator").to_string();
+    assert!(why.contains("by --decimal comma"), "{why}");
+    let atoms = "2\nwater\nO 1.5 2.5 3.5\nH 2.5 3.5 4.5\n";
+    let why = refusal(atoms);
+    assert!(
+        why.starts_with("line 3: column 1: `O` is not a number; ") && why.contains("--axes A,B,C"),
+        "{why}"
+    );
+    let said = read_as(atoms, &reading(&[("axes", "2,3,4")])).expect("a cloud");
+    assert_eq!(said.positions, [[1.5, 2.5, 3.5], [2.5, 3.5, 4.5]]);
     let named = read_as(text, &reading(&[("format", "text")])).expect("a cloud");
     assert_eq!(named.positions.len(), 2);
     let why = read_as(text, &reading(&[("format", "ply")])).expect_err("no PLY").to_string();

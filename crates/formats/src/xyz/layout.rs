@@ -49,7 +49,11 @@ impl Layout {
             return Err(FormatError::malformed(Place::Line(1), why));
         }
         let Some(fit) = best(&lines, separator, reading.decimal) else {
-            return nothing(&lines).map(|()| None);
+            nothing(&lines)?;
+            if separator.is_some() || reading.decimal.is_some() {
+                return Err(none_as_told(&lines, separator, reading.decimal));
+            }
+            return Ok(None);
         };
         without_blanks(&lines, &fit)?;
         let mut layout = Head::of(&lines, fit)?.layout(reading)?;
@@ -81,6 +85,19 @@ fn nothing(lines: &[&Line]) -> Result<(), FormatError> {
     Ok(())
 }
 
+/// No line is a point by these marks.
+fn none_as_told(lines: &[&Line], separator: Option<Separator>, decimal: Option<Decimal>) -> FormatError {
+    let told = [
+        separator.map(|separator| format!("{SEPARATOR} {separator}")),
+        decimal.map(|decimal| format!("{DECIMAL} {decimal}")),
+    ];
+    let told: Vec<String> = told.into_iter().flatten().collect();
+    let line = lines.iter().find(|line| !is_comment(&line.bytes));
+    let (number, begins) = line.map_or((1, String::new()), |line| (line.number, shown(&line.bytes)));
+    let why = format!("no line has three numbers by {}; this one is {begins}", told.join(" and "));
+    FormatError::malformed(Place::Line(number), why)
+}
+
 /// Why a line that begins like a number is no point, where that can be told.
 fn no_point(line: &[u8], lines: usize) -> Option<String> {
     let mut places = Vec::new();
@@ -101,7 +118,7 @@ fn no_point(line: &[u8], lines: usize) -> Option<String> {
             ));
         }
         let are_numbers = fields().all(|field| !field.is_empty() && dialect.number(field).is_some());
-        if are_numbers && lines > 1 {
+        if are_numbers && places.len() < 3 && lines > 1 {
             let columns =
                 if places.len() == 1 { "1 column".to_owned() } else { format!("{} columns", places.len()) };
             return Some(format!("{columns} where a point needs 3"));

@@ -5,6 +5,7 @@ use std::ops::Range;
 
 use super::super::columns::{Guess, TextColumn};
 use super::super::reader::{Block, ColumnName, Ending, Points};
+use super::super::reading::AXES;
 use super::super::source::Source;
 use super::super::text::shown;
 use super::super::{Format, FormatError, Header, Limits, Place, Reading};
@@ -205,7 +206,7 @@ impl XyzPoints {
         for (coordinate, column) in position.iter_mut().zip(layout.axes) {
             let field = &line[self.fields[column].clone()];
             *coordinate =
-                dialect.number(field).ok_or_else(|| wrong(no_number(layout, dialect, column, field)))?;
+                dialect.number(field).ok_or_else(|| wrong(no_coordinate(layout, dialect, column, field)))?;
         }
         for ((column, other), numbers) in self.others.iter_mut().zip(&mut to.columns) {
             let field = &line[self.fields[*column].clone()];
@@ -244,6 +245,15 @@ impl XyzPoints {
 fn no_number(layout: &Layout, dialect: Dialect, column: usize, field: &[u8]) -> String {
     let named = layout.names.as_ref().map(|names| format!(" ({})", names[column])).unwrap_or_default();
     format!("column {}{named}: {}", column + 1, dialect.no_number(field))
+}
+
+/// As [`no_number`], of a column that nothing but its place makes a coordinate.
+fn no_coordinate(layout: &Layout, dialect: Dialect, column: usize, field: &[u8]) -> String {
+    let why = no_number(layout, dialect, column, field);
+    if layout.names.is_some() || dialect.is_foreign(field) {
+        return why;
+    }
+    format!("{why}; if the coordinates stand in other columns, say {AXES} A,B,C (numbers from 1)")
 }
 
 fn name(layout: &Layout, column: usize) -> String {
