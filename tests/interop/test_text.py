@@ -1,6 +1,9 @@
-"""Columns of text against NumPy."""
+"""Columns of text against NumPy and pandas."""
+
+import csv
 
 import numpy as np
+import pandas
 import pytest
 
 from conftest import assert_on_sphere
@@ -42,3 +45,74 @@ def test_named_columns_come_back_under_their_names(tmp_path, sphere, upsample):
     assert set(dense["label"]) == {7, -3}
     kept = np.column_stack([dense[n][: len(points)] for n in "xyz"])
     assert np.array_equal(kept, np.round(points, 3)), "the input, exactly"
+
+
+def dialects(points, normals):
+    """A table as pandas writes it, in several ways, and how pandas reads each."""
+    table = pandas.DataFrame(points, columns=["Easting", "Northing", "Height (m)"])
+    table.insert(0, "PointID", range(len(table)))
+    for i, name in enumerate(["Normal, x", 'Normal "y"', "Normal z"]):
+        table[name] = normals[:, i]
+    yield "comma", {}, table
+    yield "german", {"sep": ";", "decimal": ","}, table
+    yield "tab", {"sep": "\t"}, table
+    yield "bar", {"sep": "|"}, table
+
+
+@pytest.mark.parametrize("way", range(4))
+def test_tables_of_pandas_come_back_as_they_were(tmp_path, sphere, upsample, way):
+    points, normals = sphere
+    name, options, table = list(dialects(points, normals))[way]
+    source, result = tmp_path / f"{name}.txt", tmp_path / "result.txt"
+    table.to_csv(source, index=False, **options)
+
+    warned = upsample(source, result, "--keep-input", "--ratio", 2)
+
+    assert "written as" not in warned
+    dense = pandas.read_csv(result, **options)
+    columns = ["Easting", "Northing", "Height (m)"]
+    assert list(dense.columns) == columns + [c for c in table.columns if c not in columns]
+    assert np.array_equal(dense[columns].values[: len(points)], points)
+    assert np.array_equal(dense["PointID"].values[: len(points)], np.arange(len(points)))
+    assert np.array_equal(dense["Normal, x"].values[: len(points)], normals[:, 0])
+    assert_on_sphere(dense[columns].values)
+
+
+@pytest.mark.parametrize("options", [{"quoting": csv.QUOTE_ALL}, {"encoding": "utf-16"}, {"compression": "gzip"}])
+def test_pandas_writes_in_other_ways(tmp_path, sphere, upsample, options):
+    points, _ = sphere
+    source, result = tmp_path / "source.csv", tmp_path / "result.csv"
+    pandas.DataFrame(points, columns=["x", "y", "z"]).to_csv(source, **options)
+    upsample(source, result, "--keep-input", "--ratio", 2)
+    dense = pandas.read_csv(result)
+    assert list(dense.columns) == ["x", "y", "z", "index"]
+    assert np.array_equal(dense[["x", "y", "z"]].values[: len(points)], points)
+
+
+def test_separators_of_thousands_are_refused(tmp_path, sphere, upsample):
+    points, _ = sphere
+    source = tmp_path / "source.csv"
+    pandas.DataFrame(points, columns=["x", "y", "z"]).to_csv(source, index=False, float_format="{:,.3f}".format)
+    assert "thousands" in upsample(source, tmp_path / "result.csv", fails=True)
+
+
+def test_names_from_elsewhere_are_read_by_others(tmp_path, sphere, upsample):
+    points, _ = sphere
+    names = ["a,b", 'say "h"', "X", "GPS Time"]
+    kinds = [("x", "f8"), ("y", "f8"), ("z", "f8"), *((name, "u1") for name in names)]
+    cloud = np.zeros(len(points), dtype=kinds)
+    cloud["x"], cloud["y"], cloud["z"] = points.T
+    for i, name in enumerate(names):
+        cloud[name] = i + 1
+    np.save(tmp_path / "source.npy", cloud)
+
+    warned = upsample(tmp_path / "source.npy", tmp_path / "result.csv")
+    assert "the name `X` (written as `X_2`)" in warned
+    dense = pandas.read_csv(tmp_path / "result.csv")
+    assert list(dense.columns) == ["x", "y", "z", "a,b", 'say "h"', "X_2", "GPS Time"]
+
+    warned = upsample(tmp_path / "source.npy", tmp_path / "result.xyz")
+    assert "the name `GPS Time` (written as `GPS_Time`)" in warned
+    dense = np.genfromtxt(tmp_path / "result.xyz", names=True, deletechars="")
+    assert dense.dtype.names == ("x", "y", "z", "a_b", "say__h_", "X_2", "GPS_Time")
+    assert (dense["GPS_Time"] == 4).all()
