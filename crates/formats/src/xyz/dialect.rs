@@ -204,34 +204,24 @@ fn split_quoted_at(line: &[u8], separator: u8, fields: &mut Vec<Range<usize>>) -
     while fields.len() <= MAX_COLUMNS {
         let skip = line[from..].iter().position(|b| *b == separator || !is_space(*b));
         let begin = skip.map_or(line.len(), |i| from + i);
-        let to;
-        if line.get(begin) == Some(&b'"') {
-            let close = closing(line, begin)?;
+        let quotes = line.get(begin) == Some(&b'"');
+        let close = if quotes { closing(line, begin)? } else { begin };
+        let end = line[close..].iter().position(|b| *b == separator).map_or(line.len(), |i| close + i);
+        let after = if quotes { close + 1 } else { from };
+        let comment = comment(line, after, end);
+        let rest = trimmed(line, after..comment.unwrap_or(end));
+        if quotes {
+            if !rest.is_empty() {
+                return Err(format!("{} follows a closing quote", shown(&line[rest])));
+            }
             fields.push(trimmed(line, begin + 1..close));
-            let end = line[close..].iter().position(|b| *b == separator).map_or(line.len(), |i| close + i);
-            let behind = trimmed(line, close + 1..end);
-            if let Some(comment) = comment(line, close + 1, line.len())
-                && line[close + 1..comment].iter().all(|b| is_space(*b))
-            {
-                return Ok(());
-            }
-            if !behind.is_empty() {
-                return Err(format!("{} follows a closing quote", shown(&line[behind])));
-            }
-            to = end;
         } else {
-            let end = line[begin..].iter().position(|b| *b == separator).map_or(line.len(), |i| begin + i);
-            if let Some(comment) = comment(line, from, end) {
-                fields.push(trimmed(line, from..comment));
-                return Ok(());
-            }
-            fields.push(trimmed(line, from..end));
-            to = end;
+            fields.push(rest);
         }
-        if to == line.len() {
+        if comment.is_some() || end == line.len() {
             return Ok(());
         }
-        from = to + 1;
+        from = end + 1;
     }
     Ok(())
 }
