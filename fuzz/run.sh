@@ -10,7 +10,7 @@ set -eu
 cd "$(dirname "$0")/.."
 seconds=${1:-600}
 [ $# -gt 0 ] && shift
-targets=${*:-ply text las pcd npy e57 off mesh}
+targets=${*:-ply text las pcd npy e57 off mesh ptx colmap kitti}
 program=${DENSECLOUD:-target/release/densecloud}
 seeds=fuzz/seeds
 mkdir -p "$seeds"
@@ -23,11 +23,21 @@ printf '2\n1 2 3 -5 9 8 7\n4 5 6 -6 9 8 7\n1\n7 8 9 -7 6 5 4\n' > "$seeds/two.xy
 printf 'sep=,\n"","Points:0","Points:1","Points:2","a, b"\n"1","2.5","3","","x"\n2,3,4,NA,"y ""z"""\n' > "$seeds/quoted.csv"
 printf 'OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n' > "$seeds/small.off"
 printf 'v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n' > "$seeds/small.obj"
+printf '3\n1\n1 2 3\n1 0 0\n0 1 0\n0 0 1\n1 0 0 0\n0 1 0 0\n0 0 1 0\n1 2 3 1\n1 2 3 0.5 7 8 9\n0 0 0 0.5 0 0 0\n' > "$seeds/small.ptx"
+printf '4 5 6 0.5 7 8 9\n' >> "$seeds/small.ptx"
+cat "$seeds/small.ptx" "$seeds/small.ptx" > "$seeds/two.ptx"
+mkdir -p "$seeds/colmap"
+for to in points3D.txt points3D.bin; do
+    "$program" upsample "$seeds/small.ply" "$seeds/colmap/$to" --ratio 1 --quiet
+done
+# 20 points at the origin.
+head -c 320 /dev/zero > "$seeds/small.kitti"
 for target in $targets; do
     case $target in
         ply | mesh) own="$seeds/*.ply $seeds/*.off" ;;
         text) own="$seeds/*.xyz $seeds/*.csv $seeds/*.obj" ;;
         las) own="$seeds/*.las $seeds/*.laz" ;;
+        colmap) own="$seeds/colmap/*" ;;
         *) own="$seeds/*.$target" ;;
     esac
     mkdir -p "fuzz/corpus/$target"

@@ -93,3 +93,26 @@ def test_what_open3d_writes_is_read_and_what_is_written_open3d_reads(tmp_path, s
     directions = (xyz - np.array([465_123.25, 5_204_987.5, 812.125])) / 10
     assert np.abs(np.asarray(dense.normals) - directions).max() < 0.1
     assert np.abs(np.asarray(dense.colors) - (0.5 + directions / 2)).max() < 0.04
+
+
+def test_gaussian_splats_come_back_whole(tmp_path, upsample, sphere):
+    names = ["x", "y", "z", "nx", "ny", "nz", *(f"f_dc_{i}" for i in range(3)), *(f"f_rest_{i}" for i in range(45))]
+    names += ["opacity", *(f"scale_{i}" for i in range(3)), *(f"rot_{i}" for i in range(4))]
+    random = np.random.default_rng(3)
+    splats = np.zeros(len(sphere[0]), [(name, "f4") for name in names])
+    for axis, name in enumerate("xyz"):
+        splats[name] = sphere[0][:, axis] - sphere[0][0, axis]
+    for name in names[6:]:
+        splats[name] = random.normal(size=len(splats))
+    splats["rot_0"] = 3 * np.sign(splats["rot_0"])
+    plyfile.PlyData([plyfile.PlyElement.describe(splats, "vertex")]).write(tmp_path / "splats.ply")
+    upsample(tmp_path / "splats.ply", tmp_path / "dense.ply", "--ratio", 2)
+    dense = plyfile.PlyData.read(tmp_path / "dense.ply")["vertex"]
+    assert [(p.name, p.val_dtype) for p in dense.properties] == [(name, "f4") for name in names]
+    assert len(dense) == 3000
+    for name in names:
+        assert np.isfinite(dense[name]).all()
+    assert all((dense[name] == 0).all() for name in ("nx", "ny", "nz"))
+    lengths = np.linalg.norm([dense[f"rot_{i}"] for i in range(4)], axis=0)
+    # Of one length, or as long as those about it.
+    assert (lengths > 0.9).all()

@@ -7,6 +7,7 @@ mod hostile;
 mod kills;
 mod log;
 mod meanings;
+mod outputs;
 mod remote;
 mod results;
 mod settings;

@@ -152,7 +152,7 @@ impl Format {
             if let (false, Some(crs)) = (format.holds_crs(), &origin.crs) {
                 lost.push(format!("the coordinate system ({})", crs.name()));
             }
-            if !format.holds_sensor() && origin.sensor.is_some() {
+            if !format.holds_sensor() && (origin.sensor.is_some() || origin.sensors.is_some()) {
                 lost.push("the sensor's place".to_owned());
             }
             if !format.holds_tables() {

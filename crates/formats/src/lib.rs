@@ -55,6 +55,7 @@ mod tests;
 mod text;
 mod writer;
 
+mod colmap;
 mod e57;
 mod kitti;
 mod las;

@@ -7,8 +7,8 @@ use std::path::Path;
 use super::kind::{Choices, Kind, Mark, Opened};
 use super::source::Source;
 use super::{
-    Decimal, FormatError, Limits, PcdEncoding, PlyEncoding, Reading, Scalar, Separator, e57, kitti, las, npy,
-    obj, off, pcd, ply, ptx, xyz,
+    Decimal, FormatError, Limits, PcdEncoding, PlyEncoding, Reading, Scalar, Separator, colmap, e57, kitti,
+    las, npy, obj, off, pcd, ply, ptx, xyz,
 };
 
 /// Declares [`Format`] and the ways from it to the formats' modules.
@@ -95,6 +95,11 @@ formats! {
     obj::Obj
     /// Leica's PTX, read only: scans, each where its pose puts it.
     ptx::Ptx
+    /// COLMAP's sparse points, without their tracks.
+    colmap::Colmap {
+        /// `points3D.bin`, and not `points3D.txt`.
+        binary: bool,
+    }
     /// A sweep of bare 32-bit floats, as KITTI and nuScenes have it, read only.
     kitti::Kitti {
         /// Whether a point has a fifth number, its ring, as in nuScenes.

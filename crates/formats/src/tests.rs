@@ -2,6 +2,7 @@
 
 mod blocks;
 mod broken;
+mod colmap_files;
 mod conversions;
 mod dialects;
 mod e57_files;

@@ -95,6 +95,15 @@ impl Choices for Pcd {
         true
     }
 
+    fn not_held(&self, _attributes: &[Attribute], origin: &Origin) -> Vec<String> {
+        let mut lost = origin.extra.as_ref().map(|extra| extra.lost_elsewhere()).unwrap_or_default();
+        // Its place is for one.
+        if origin.sensors.is_some() {
+            lost.push("the sensors' places".to_owned());
+        }
+        lost
+    }
+
     fn renamed(&self, attributes: &[Attribute], origin: &Origin) -> Vec<(String, String)> {
         write::renamed(attributes, origin)
     }

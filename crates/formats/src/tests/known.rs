@@ -114,9 +114,20 @@ fn words_that_others_begin_with_are_no_more_than_words_in_text() {
 #[test]
 fn an_output_is_named_as_what_it_is() {
     let of = |name: &str| Format::of_output(Path::new(name));
-    for name in
-        ["a.ply", "a.las", "a.LAZ", "a.e57", "a.pcd", "a.npy", "a.xyz", "a.txt", "a.asc", "a.pts", "a.csv"]
-    {
+    for name in [
+        "a.ply",
+        "a.las",
+        "a.LAZ",
+        "a.e57",
+        "a.pcd",
+        "a.npy",
+        "a.xyz",
+        "a.txt",
+        "a.asc",
+        "a.pts",
+        "a.csv",
+        "points3D.bin",
+    ] {
         let format = of(name).expect(name).expect(name);
         assert!(format.is_written(), "{name}");
     }

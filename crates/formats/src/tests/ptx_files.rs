@@ -63,6 +63,15 @@ fn scans_are_numbered_and_each_has_a_sensor() {
         assert_eq!(sensors.attribute, "scan");
         assert_eq!(sensors.places, [Some([100.0, 200.0, 5.0]), Some([0.0; 3])]);
         assert_eq!((sensors.of(0.0), sensors.of(2.0), sensors.of(0.5)), (sensors.places[0], None, None));
+        let lost = |name: &str| {
+            let format = Format::from_extension(name.as_ref()).expect(name);
+            format.cannot_hold(&cloud.attributes, &cloud.origin)
+        };
+        assert_eq!(
+            (lost("a.ply"), lost("a.pcd")),
+            (vec!["the sensor's place".into()], vec!["the sensors' places".into()])
+        );
+        assert!(lost("a.e57").is_empty());
     }
 }
 

@@ -64,7 +64,7 @@ mod tests {
             assert_eq!(format(accept).expect("a format"), wanted, "{accept}");
         }
         assert_eq!(accepted(&HeaderMap::new()), Ok(None));
-        for refused in ["text/html", "image/*", "text/csv;q=0", "text/csv;Q=0"] {
+        for refused in ["text/html", "model/stl", "image/*", "text/csv;q=0", "text/csv;Q=0"] {
             assert!(matches!(format(refused), Err(Problem::NotAcceptable { .. })), "{refused}");
         }
     }
