@@ -19,6 +19,10 @@ const ENDINGS: [(&str, &str); 8] = [
     ("text/csv", "csv"),
 ];
 
+/// Whole names of files of a media type, where others mean nothing to the program that reads them.
+const NAMES: [(&str, &str); 2] =
+    [("text/x-colmap-points3d", "points3D.txt"), ("application/x-colmap-points3d", "points3D.bin")];
+
 /// The most characters of an upload's name that its result's has.
 const LONGEST: usize = 100;
 
@@ -76,7 +80,11 @@ fn is_plain(c: char) -> bool {
 pub(crate) fn disposition(stem: Option<&str>, media_type: &str) -> HeaderValue {
     let kind = media_type.split(';').next().unwrap_or_default();
     let ending = ENDINGS.iter().find(|(known, _)| *known == kind).map_or("bin", |(_, ending)| ending);
-    let name = stem.map_or_else(|| format!("dense.{ending}"), |stem| format!("{stem}-dense.{ending}"));
+    let name = match (NAMES.iter().find(|(known, _)| *known == kind), stem) {
+        (Some((_, whole)), _) => (*whole).to_owned(),
+        (None, Some(stem)) => format!("{stem}-dense.{ending}"),
+        (None, None) => format!("dense.{ending}"),
+    };
     // Some programs read percent signs and backslashes as the beginning of something else.
     let safe = |c: char| (c.is_ascii_graphic() || c == ' ') && !"\"\\%".contains(c);
     let ascii: String = name.chars().map(|c| if safe(c) { c } else { '_' }).collect();
@@ -161,8 +169,12 @@ mod tests {
     #[test]
     fn every_media_type_has_an_ending_that_leads_back_to_it() {
         for media_type in Format::MEDIA_TYPES {
-            let (_, ending) = ENDINGS.iter().find(|(known, _)| *known == media_type).expect(media_type);
-            let format = Format::from_extension(&Path::new("a").with_extension(ending)).expect(ending);
+            let find = |table: &[(&str, &'static str)]| {
+                table.iter().find(|(known, _)| *known == media_type).map(|(_, name)| *name)
+            };
+            let name = find(&NAMES)
+                .map_or_else(|| format!("a.{}", find(&ENDINGS).expect(media_type)), str::to_owned);
+            let format = Format::from_extension(Path::new(&name)).expect(media_type);
             assert_eq!(format.media_type().split(';').next(), Some(media_type));
         }
     }
