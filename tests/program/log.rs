@@ -1,9 +1,10 @@
 //! The log, where nobody can write it or nobody reads it: the server serves on.
 
 use std::fs::{File, OpenOptions};
-use std::io::{PipeReader, Read, pipe};
+use std::io::{BufRead, BufReader, PipeReader, pipe};
 use std::net::TcpListener;
 use std::process::{Child, Command, ExitStatus, Stdio};
+use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
 
 use serde_json::Value;
@@ -128,12 +129,19 @@ fn a_reader_who_stands_still_holds_up_nothing_not_even_the_end() {
     drop(reader);
 }
 
-/// All that is in the log until the program ends, as events.
-fn read_all(mut reader: PipeReader) -> Vec<Value> {
-    let mut text = String::new();
-    reader.read_to_string(&mut text).expect("text");
-    let lines = text.lines().filter(|line| !line.contains("onnxruntime"));
-    lines.map(|line| serde_json::from_str(line).unwrap_or_else(|e| panic!("{e}: {line:.200}"))).collect()
+/// The log's events, as they are read from now on.
+fn read(reader: PipeReader) -> Receiver<Value> {
+    let (sender, events) = channel();
+    std::thread::spawn(move || {
+        for line in BufReader::new(reader).lines().map_while(Result::ok) {
+            if !line.contains("onnxruntime") {
+                let event = serde_json::from_str(&line).unwrap_or_else(|e| panic!("{e}: {line:.200}"));
+                // A test that is over reads no more.
+                let _ = sender.send(event);
+            }
+        }
+    });
+    events
 }
 
 #[test]
@@ -142,15 +150,18 @@ fn a_reader_who_goes_on_has_whole_lines_to_the_last() {
     let serving = Serving::start(writer);
     say_much(&serving);
     serving.wait_for_lost(15);
-    let reading = std::thread::spawn(move || read_all(reader));
-    // Until there is room for a line again.
-    while {
-        let before = serving.lost();
-        assert_eq!(serving.status("/nowhere"), Some(404));
-        serving.lost() > before
-    } {}
+    let (reading, start) = (read(reader), Instant::now());
+    let mut events = Vec::new();
+    // Until there is room for a line again, and all before it have been read.
+    while events.last().is_none_or(|event: &Value| event["span"]["path"] != "/nowhere") {
+        assert!(start.elapsed() < PATIENCE, "nothing is written any more");
+        match reading.recv_timeout(Duration::from_millis(100)) {
+            Ok(event) => events.push(event),
+            Err(_) => assert_eq!(serving.status("/nowhere"), Some(404)),
+        }
+    }
     assert_eq!(serving.end().code(), Some(0));
-    let events = reading.join().expect("no panic");
+    events.extend(reading);
     let messages: Vec<_> = events.iter().filter_map(|event| event["fields"]["message"].as_str()).collect();
     assert_eq!(messages.last(), Some(&"stopped"));
     let paths = events.iter().filter_map(|event| event["span"]["path"].as_str());
