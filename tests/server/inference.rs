@@ -223,7 +223,7 @@ fn the_models_are_listed_and_none_is_loaded_or_unloaded() {
         let expected = json!([{ "name": "densecloud", "version": "1", "state": "READY", "reason": "" }]);
         assert_eq!(index(body), expected, "{body:?}");
     }
-    for body in ["[]", "{", r#"{"ready":7}"#] {
+    for body in ["[]", "{", r#"{"ready":7}"#, r#"{"ready":{}}"#] {
         assert_eq!(error(&server.post("/v2/repository/index", body.as_bytes())).0, 400, "{body:?}");
     }
     let models: Value = serde_json::from_slice(&server.get("/v2/models").body).expect("JSON");

@@ -5,6 +5,8 @@ use std::marker::PhantomData;
 
 use serde::de::{Deserialize, Deserializer, Error, IgnoredAny, MapAccess, SeqAccess, Visitor};
 
+use crate::problem::Problem;
+
 /// The most entries of a [`Few`] and of [`Parameters`]: more than any request needs.
 const MOST: usize = 32;
 
@@ -28,10 +30,17 @@ impl<T> Default for Few<T> {
 }
 
 impl Parameters {
-    /// Takes the one of this name out.
-    pub(super) fn take(&mut self, name: &str) -> Option<String> {
-        let at = self.pairs.iter().position(|(n, _)| n == name)?;
-        Some(self.pairs.remove(at).1)
+    /// The value of this name, where it is there.
+    ///
+    /// # Errors
+    /// [`Problem::MalformedRequest`] where that is a list or an object.
+    pub(super) fn find(&self, name: &str) -> Result<Option<&str>, Problem> {
+        if self.nested.iter().any(|nested| nested == name) {
+            let why = format!("{name} is a list or an object; it must be a number, a string, true or false");
+            return Err(Problem::MalformedRequest(why));
+        }
+        let found = self.pairs.iter().find(|(known, _)| known == name);
+        Ok(found.map(|(_, value)| value.as_str()))
     }
 
     /// Drops those of these names.
@@ -178,6 +187,8 @@ mod tests {
         let values: Vec<&str> = members.pairs.iter().map(|(_, value)| value.as_str()).collect();
         assert_eq!(values, ["2.5", "4", "18446744073709551615", "-1", "true", "é"]);
         assert_eq!(members.nested, ["list", "map"]);
+        assert_eq!((members.find("b"), members.find("none")), (Ok(Some("true")), Ok(None)));
+        assert!(members.find("list").is_err() && members.find("map").is_err());
         members.ignore(|name| name.len() < 4);
         assert_eq!(members.names().collect::<Vec<_>>(), ["ratio", "points", "seed", "list"]);
         assert!(serde_json::from_str::<Parameters>("[]").is_err());

@@ -44,8 +44,7 @@ fn asks_for_ready(body: &[u8]) -> Result<bool, Problem> {
     }
     let asked: Option<Parameters> = serde_json::from_slice(body)
         .map_err(|error| Problem::MalformedRequest(format!("the request's JSON: {error}")))?;
-    let ready = asked.unwrap_or_default().take("ready");
-    ready.map_or(Ok(false), |value| switch("ready", &value))
+    asked.unwrap_or_default().find("ready")?.map_or(Ok(false), |value| switch("ready", value))
 }
 
 /// `POST /v2/repository/models/densecloud/load` and `.../unload`: an error, as of a Triton that does not let clients

@@ -41,6 +41,9 @@ enum Data<'a> {
 pub(crate) const HINTS: [&str; 7] =
     ["content_type", "headers", "priority", "sequence_end", "sequence_id", "sequence_start", "timeout"];
 
+/// Whether the output shall be binary.
+const BINARY: &str = "binary_data_output";
+
 fn is_hint(name: &str) -> bool {
     HINTS.contains(&name) || name.starts_with("triton_")
 }
@@ -137,10 +140,9 @@ pub(super) fn read(json: &[u8]) -> Result<Request<'_>, Problem> {
     let datatype = check_tensor(&input)?;
     let (points, batched) = check_shape(&input.shape.0)?;
     let data = place(&input, points.saturating_mul(3 * datatype.width() as u64))?;
-    let binary = pairs.take("binary_data_output");
-    let binary = binary.map_or(Ok(false), |value| switch("binary_data_output", &value))?;
+    let binary = pairs.find(BINARY)?.map_or(Ok(false), |value| switch(BINARY, value))?;
     let binary = check_outputs(outputs.0)?.unwrap_or(binary);
-    pairs.ignore(is_hint);
+    pairs.ignore(|name| name == BINARY || is_hint(name));
     let reply = Reply { id, datatype, binary };
     Ok(Request { points, batched, options: options(&pairs)?, reply, data })
 }
@@ -170,8 +172,7 @@ fn check_shape(shape: &[i64]) -> Result<(u64, bool), Problem> {
 /// Where the numbers of this input are, which take so many bytes in binary.
 fn place<'a>(input: &Input<'a>, bytes: u64) -> Result<Data<'a>, Problem> {
     check_supported("input", &input.parameters)?;
-    let size =
-        input.parameters.pairs.iter().find(|(name, _)| name == "binary_data_size").map(|(_, size)| size);
+    let size = input.parameters.find("binary_data_size")?;
     match (size, input.data) {
         (Some(size), None) if size.parse() == Ok(bytes) => Ok(Data::Binary(bytes)),
         (Some(size), None) => Err(malformed(format!(
@@ -206,8 +207,7 @@ fn check_outputs(outputs: Vec<Output>) -> Result<Option<bool>, Problem> {
         return Err(malformed(format!("unknown output {name:?}; there is {TENSOR:?}")));
     }
     check_supported("output", &parameters)?;
-    let binary = parameters.pairs.iter().find(|(name, _)| name == "binary_data");
-    binary.map(|(name, value)| switch(name, value)).transpose()
+    parameters.find("binary_data")?.map(|value| switch("binary_data", value)).transpose()
 }
 
 impl Request<'_> {
@@ -504,6 +504,10 @@ mod tests {
             (r#""datatype":"FP32","shape":[-1,3],"data":[]"#, "[N, 3]"),
             (r#""datatype":"FP32","shape":[1,3],"parameters":{"binary_data_size":11}"#, "take 12 bytes"),
             (r#""datatype":"FP32","shape":[1,3],"parameters":{"binary_data_size":12}"#, "0 bytes follow"),
+            (
+                r#""datatype":"FP32","shape":[1,3],"parameters":{"binary_data_size":[12]},"data":[1,2,3]"#,
+                "a list",
+            ),
             (r#""datatype":"FP32","shape":[1,3],"parameters":{"binary_data_size":12},"data":[1]"#, "both"),
             (r#""datatype":"FP32","shape":[1,3],"parameters":{"shared_memory_region":"x"}"#, "not supported"),
         ] {
