@@ -54,9 +54,7 @@ impl Flats {
             return;
         }
         let by = height.clamp(low, high) - height;
-        for a in 0..3 {
-            point[a] += by * flat.normal[a];
-        }
+        point.iter_mut().zip(flat.normal).for_each(|(c, n)| *c += by * n);
     }
 }
 

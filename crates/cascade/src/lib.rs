@@ -262,8 +262,10 @@ fn cascade(
     }
     run.observer.plan(&globals.sizes);
     let levels = globals.sizes.len();
-    let neighbourhoods = (run.options.spread == Spread::Neighbourhood)
-        .then(|| Neighbourhoods::of(&together, &mut globals.usual_point));
+    let neighbourhoods = match run.options.spread {
+        Spread::Neighbourhood => Some(Neighbourhoods::of(&together, &mut globals.usual_point)?),
+        Spread::Area => None,
+    };
     let local = neighbourhoods.as_ref().map(|n| n.spacing.clone());
     let mut handover = Handover { points: together, local, previous: None, reference: None, neighbourhoods };
     for number in 0..levels {

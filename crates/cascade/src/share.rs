@@ -10,6 +10,7 @@ use std::str::FromStr;
 use rayon::prelude::*;
 
 use super::globals::{once, usual_logarithm};
+use super::{CascadeError, filled};
 use densecloud_cloud::Point;
 use densecloud_geometry::{KdTree, Walk, farthest_point_sampling, scaled_farthest_point_sampling};
 
@@ -87,12 +88,15 @@ struct Coarser {
 
 impl Neighbourhoods {
     /// Trees and neighbours of `points`: O(n log n); 170 bytes a point.
-    pub(super) fn of(points: &[Point], usual: &mut Option<f32>) -> Self {
-        let scale = Scale::of(points);
+    ///
+    /// # Errors
+    /// There is no memory for them.
+    pub(super) fn of(points: &[Point], usual: &mut Option<f32>) -> Result<Self, CascadeError> {
+        let scale = Scale::of(points)?;
         let area = |(i, near): (usize, &[u32])| area(points, points[i], near);
         let areas: Vec<f32> = scale.members.par_chunks_exact(scale.row).enumerate().map(area).collect();
         let spacing = scale.spacing(&areas, usual);
-        Self { scale, spacing }
+        Ok(Self { scale, spacing })
     }
 
     /// The local spacing by the `areas` that the points have: the root of their mean over a neighbourhood as large as it takes
@@ -103,15 +107,16 @@ impl Neighbourhoods {
 }
 
 impl Scale {
-    fn of(points: &[Point]) -> Self {
+    fn of(points: &[Point]) -> Result<Self, CascadeError> {
         let tree = KdTree::new(points);
         let row = REGION.min(points.len());
-        let mut members = vec![0_u32; row * points.len()];
-        for (i, near) in nearest_of::<REGION>(&tree, points, tree.order()) {
+        let mut members = filled(0_u32, row * points.len())?;
+        for (&i, near) in tree.order().iter().zip(nearest_of::<REGION>(&tree, points, tree.order())?) {
             members[i as usize * row..][..row].copy_from_slice(&near[..row]);
         }
-        let coarser = (points.len() >= COARSER * REGION).then(|| Box::new(Coarser::of(&tree, points)));
-        Self { members, row, coarser }
+        let coarser =
+            if points.len() >= COARSER * REGION { Some(Box::new(Coarser::of(&tree, points)?)) } else { None };
+        Ok(Self { members, row, coarser })
     }
 
     fn spacing(&self, areas: &[f32], usual: &mut Option<f32>) -> Vec<f32> {
@@ -140,26 +145,33 @@ impl Scale {
 }
 
 impl Coarser {
-    fn of(tree: &KdTree, points: &[Point]) -> Self {
+    fn of(tree: &KdTree, points: &[Point]) -> Result<Self, CascadeError> {
         let of: Vec<u32> = tree.order().iter().copied().step_by(COARSER).collect();
         let few: Vec<Point> = of.iter().map(|&i| points[i as usize]).collect();
-        let mut nearest = vec![[0; NEAREST]; points.len()];
-        for (i, near) in nearest_of::<NEAREST>(&KdTree::new(&few), points, tree.order()) {
+        let mut nearest = filled([0; NEAREST], points.len())?;
+        for (&i, near) in
+            tree.order().iter().zip(nearest_of::<NEAREST>(&KdTree::new(&few), points, tree.order())?)
+        {
             nearest[i as usize] = near;
         }
-        Self { of, nearest, scale: Scale::of(&few) }
+        Ok(Self { of, nearest, scale: Scale::of(&few)? })
     }
 }
 
 /// The `K` points of `tree` nearest to each of `points`, in that `order`; where there are fewer, the first one again.
-fn nearest_of<const K: usize>(tree: &KdTree, points: &[Point], order: &[u32]) -> Vec<(u32, [u32; K])> {
-    let nearest = |walk: &mut Walk, &i: &u32| {
+fn nearest_of<const K: usize>(
+    tree: &KdTree,
+    points: &[Point],
+    order: &[u32],
+) -> Result<Vec<[u32; K]>, CascadeError> {
+    let mut all = filled([0_u32; K], order.len())?;
+    let nearest = |walk: &mut Walk, (near, &i): (&mut [u32; K], &u32)| {
         tree.nearest_next(points[i as usize], K, walk);
-        let mut near = [walk.found.first().map_or(0, |n| n.index); K];
+        near.fill(walk.found.first().map_or(0, |n| n.index));
         near.iter_mut().zip(&walk.found).for_each(|(place, n)| *place = n.index);
-        (i, near)
     };
-    order.par_iter().map_init(Walk::default, nearest).collect()
+    all.par_iter_mut().zip(order).for_each_init(Walk::default, nearest);
+    Ok(all)
 }
 
 /// The area that each of `near` has about `p` if they lie on a surface.
@@ -209,7 +221,8 @@ mod tests {
     fn chance_is_no_density() {
         for seed in 0..5 {
             let mut random = Rng::new(seed);
-            let spacing = Neighbourhoods::of(&square(2000, [0.0; 2], 1.0, &mut random), &mut None).spacing;
+            let spacing =
+                Neighbourhoods::of(&square(2000, [0.0; 2], 1.0, &mut random), &mut None).unwrap().spacing;
             let varied = spacing.iter().filter(|s| (**s / mean(&spacing) - 1.0).abs() > 0.03).count();
             // Corners look thinner than they are.
             assert!(varied < 100, "{varied} of 2000 spacings vary, seed {seed}");
@@ -221,13 +234,13 @@ mod tests {
         let mut random = Rng::new(3);
         let mut points = square(800, [0.0; 2], 1.0, &mut random);
         points.extend(square(800, [3.0; 2], 10.0, &mut random));
-        let spacing = Neighbourhoods::of(&points, &mut None).spacing;
+        let spacing = Neighbourhoods::of(&points, &mut None).unwrap().spacing;
         let ratio = mean(&spacing[800..]) / mean(&spacing[..800]);
         assert!((9.0..10.5).contains(&ratio), "{ratio} of 10");
         // A dense part no larger than the finest neighbourhood.
         points.truncate(800);
         points.extend(square(60, [0.5; 2], 0.03, &mut random));
-        let spacing = Neighbourhoods::of(&points, &mut None).spacing;
+        let spacing = Neighbourhoods::of(&points, &mut None).unwrap().spacing;
         let ratio = mean(&spacing[..800]) / mean(&spacing[800..]);
         assert!(ratio > 3.5, "{ratio} of 9");
     }
@@ -236,7 +249,7 @@ mod tests {
     fn areas_of_nothing_and_few_points_give_a_spacing() {
         for n in [1, 2, 20, 255, 256, 300] {
             let points = square(n, [0.0; 2], 1.0, &mut Rng::new(n as u64));
-            let neighbourhoods = Neighbourhoods::of(&points, &mut None);
+            let neighbourhoods = Neighbourhoods::of(&points, &mut None).unwrap();
             for spacing in [&neighbourhoods.spacing, &neighbourhoods.spacing_of(&vec![0.0; n], &mut None)] {
                 assert!(spacing.iter().all(|s| s.is_finite() && *s > 0.0), "{n} points");
             }
