@@ -63,7 +63,8 @@ fn upsample_has_a_server_make_the_bytes_that_it_would_have_made() {
         ("ply", &[]),
         ("laz", &["--points", "500"]),
         ("csv", &["--spacing", "0.08", "--quiet"]),
-        ("dense", &["--density", "40"]),
+        // Without an ending, the input's format.
+        ("", &["--density", "40"]),
         ("e57", &all),
         ("pcd", &cascade),
         ("npy", &["--attributes", "nx:drop"]),
@@ -74,7 +75,8 @@ fn upsample_has_a_server_make_the_bytes_that_it_would_have_made() {
             let made = run(&["upsample", &path("in.xyz"), &input, "--ratio", "1", "--normals", "estimate"]);
             assert!(made.status.success(), "{made:?}");
         }
-        let (here, there) = (format!("here.{ending}"), format!("there.{ending}"));
+        let named = |name: &str| if ending.is_empty() { name.to_owned() } else { format!("{name}.{ending}") };
+        let (here, there) = (named("here"), named("there"));
         let made = run(&[&["upsample", &input, &path(&here)], options].concat());
         assert!(made.status.success(), "{made:?}");
         let sent = run(&[&["upsample", &input, &path(&there)], options, &server[..]].concat());
