@@ -127,7 +127,7 @@ fn a_goal_becomes_a_number_of_points() {
     for (goal, what) in [
         (Goal::Density(-1.0), "not a positive number"),
         (Goal::Spacing(f64::NAN), "not a positive number"),
-        (Goal::Density(1.0), "0.04 for each"),
+        (Goal::Density(1.0), "0.038"),
         (Goal::Spacing(1e-4), "from 1 to 64 is possible"),
     ] {
         let error = goal.target(&points).expect_err("an error").to_string();
