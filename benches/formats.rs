@@ -5,7 +5,8 @@
 use std::hint::black_box;
 use std::time::Instant;
 
-use densecloud_formats::{CloudReader, CloudWriter, Format, Limits, PlyEncoding, Scalar};
+use densecloud_cloud::Origin;
+use densecloud_formats::{CloudReader, Format, Limits, PlyEncoding, Scalar, encode};
 use densecloud_geometry::{shape, uniform};
 
 const POINTS: usize = 1_000_000;
@@ -20,14 +21,12 @@ fn main() {
         ("PLY, binary, double", ply(PlyEncoding::BinaryLittleEndian, Scalar::F64)),
         ("PLY, ascii", ply(PlyEncoding::Ascii, Scalar::F64)),
         ("XYZ", Format::TEXT),
+        ("LAS", Format::Las { compressed: false }),
+        ("LAZ", Format::Las { compressed: true }),
     ] {
-        let encode = || {
-            let mut writer = CloudWriter::new(Vec::new(), format, POINTS as u64).expect("a header");
-            writer.write(&positions).expect("points");
-            writer.finish().expect("the end")
-        };
-        let bytes = encode();
-        time(&format!("write {name}"), runs, || encode().len());
+        let write = || encode(Vec::new(), format, &positions, &[], &Origin::default()).expect("a file");
+        let bytes = write();
+        time(&format!("write {name}"), runs, || write().len());
         time(&format!("read {name}"), runs, || {
             let reader = CloudReader::open(&bytes[..], Limits::default()).expect("a header");
             reader.read().expect("points").positions.len()

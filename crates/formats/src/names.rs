@@ -20,7 +20,7 @@ const AXES: [&str; 3] = ["x", "y", "z"];
 
 impl NameRule<'_> {
     /// The names that columns have in a file, the coordinates' apart, in their order. Those that are valid stay as they
-    /// are. In others `_` stands for each character that is not allowed. A name without a letter or a digit becomes
+    /// are. In others `_` stands for each character that is not allowed; where nothing else is left, and for a blank name, it is
     /// `column 4` and so on, by its place in the file. Of two that are the same, the later one gets `_`, `_2`, `_3` or
     /// whatever is free behind it.
     pub(crate) fn apply<S: AsRef<str>>(self, names: &[S]) -> Vec<String> {
@@ -50,7 +50,9 @@ impl NameRule<'_> {
     fn valid(self, name: &str, number: usize) -> String {
         let allowed: String = name.chars().map(|c| if (self.allows)(c) { c } else { '_' }).collect();
         let allowed = cut(allowed, self.most);
-        if allowed.contains(|c: char| c.is_alphanumeric() || c.is_ascii_graphic() && c != '_') {
+        let is_changed = allowed != name;
+        let says_nothing = |c: char| c.is_whitespace() || is_changed && c == '_';
+        if !allowed.chars().all(says_nothing) {
             return allowed;
         }
         let space = if (self.allows)(' ') { ' ' } else { '_' };

@@ -13,6 +13,9 @@ use super::plan::Plan;
 use super::{Las, LasOrigin, crs, write};
 use densecloud_cloud::{Attribute, Kind, Origin, Position, Role, Values};
 
+/// The field of the time.
+const TIME: &str = "gps_time";
+
 /// The seconds of a week, in which older files tell the time.
 const WEEK: RangeInclusive<f64> = 0.0..=604_800.0;
 
@@ -54,7 +57,10 @@ impl Seen {
         let fields = layout::fields(widest(origin));
         let roles: Vec<_> =
             fields.iter().filter_map(|field| Some((Role::of(field.name)?, field.name))).collect();
-        let own = own_names(attributes, origin, "las", &roles);
+        let mut own = own_names(attributes, origin, "las", &roles);
+        for (own, attribute) in own.iter_mut().zip(attributes) {
+            *own = own.filter(|own| *own != TIME || is_gps_time(&attribute.name, origin));
+        }
         let is_colour = |own: Option<&str>| own.is_some_and(|own| ["red", "green", "blue"].contains(&own));
         let mut colours = attributes.iter().zip(&own).filter(|(_, own)| is_colour(**own));
         let has_bytes = colours.all(|(attribute, _)| attribute.values.kind() == Kind::U8);
@@ -128,7 +134,7 @@ impl SeenColumn {
         let factor = self.factor;
         self.fits = self.fits && field.holds(self.kind, numbers().map(|v| v * factor));
         match field.name {
-            "gps_time" => self.leaves_week = self.leaves_week || numbers().any(|v| !WEEK.contains(&v)),
+            TIME => self.leaves_week = self.leaves_week || numbers().any(|v| !WEEK.contains(&v)),
             "return_number" => {
                 for number in numbers() {
                     let count = (number as usize).checked_sub(1).and_then(|i| self.returns.get_mut(i));
@@ -143,6 +149,12 @@ impl SeenColumn {
     pub(super) fn fits(&self, field: &str) -> bool {
         self.fits && self.field.is_some_and(|own| own.name == field)
     }
+}
+
+/// Whether an attribute that is a time is that of GPS, and not the system's clock or the time since the start: by its name,
+/// or because E57 has no other for it.
+fn is_gps_time(name: &str, origin: &Origin) -> bool {
+    name.to_ascii_lowercase().contains("gps") || origin.named_in == Some("e57")
 }
 
 /// A point format that has all fields that a cloud's file can have.

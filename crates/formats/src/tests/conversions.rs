@@ -105,6 +105,12 @@ fn source(style: Style, format: Format) -> Cloud {
     read(&written(&cloud, format)).expect("a cloud")
 }
 
+/// Whether a number has become another.
+type Same<'a> = &'a dyn Fn(f64, f64) -> bool;
+
+/// What a file tells of the whole: its name, a word of the warning where it is lost, and whether it is kept.
+type Fact = (&'static str, &'static str, fn(&Origin) -> bool);
+
 /// What has become of an attribute.
 fn fate(
     attribute: &Attribute,
@@ -119,7 +125,7 @@ fn fate(
     };
     // No two columns have the same numbers, nor nearly.
     let exactly = |a: f64, b: f64| a == b || attribute.values.kind() == Kind::F32 && a as f32 == b as f32;
-    let ways: [(&str, &dyn Fn(f64, f64) -> bool); 3] =
+    let ways: [(&str, Same); 3] =
         [("", &exactly), ("× 257", &|a, b| 257.0 * a == b), ("rounded", &|a, b| (a - b).abs() <= 0.003)];
     let found = ways
         .iter()
@@ -221,7 +227,7 @@ fn whole() -> String {
         sensor: Some([1.0, 2.0, 3.0]),
         ..Origin::default()
     };
-    let facts: [(&str, &str, fn(&Origin) -> bool); 3] = [
+    let facts: [Fact; 3] = [
         ("coordinate system", "coordinate system", |origin| origin.crs.is_some()),
         ("comments", "", |origin| origin.comments == ["made by hand"]),
         ("sensor's place", "sensor", |origin| origin.sensor == Some([1.0, 2.0, 3.0])),
@@ -328,6 +334,16 @@ fn a_table_of_pdals_fills_the_fields_of_las() {
     let (e57, _) = adapted(PDAL, Format::E57);
     assert_eq!(column(&e57, "blue"), &Values::U16(vec![65_278, 514]));
     assert_eq!(column(&e57, "timestamp"), &Values::F64(vec![300_000_000.125, 300_000_000.25]));
+}
+
+#[test]
+fn only_the_time_of_gps_is_the_time_of_las() {
+    for (name, field) in
+        [("GpsTime", "gps_time"), ("scalar_Gps_Time", "gps_time"), ("timestamp", "timestamp")]
+    {
+        let (las, _) = adapted(&format!("x,y,z,{name}\n0,0,0,1.5e9\n1,0,0,1.6e9\n"), LAS);
+        assert_eq!(column(&las, field), &Values::F64(vec![1.5e9, 1.6e9]), "{name}");
+    }
 }
 
 #[test]
