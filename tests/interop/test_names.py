@@ -81,7 +81,8 @@ def columns_of(path):
                 arrays = {name: np.empty(header.point_count) for name in names}
                 buffers = libe57.VectorSourceDestBuffer()
                 for name, array in arrays.items():
-                    buffers.append(libe57.SourceDestBuffer(file.image_file, name, array, header.point_count, True, True))
+                    count = header.point_count
+                    buffers.append(libe57.SourceDestBuffer(file.image_file, name, array, count, True, True))
                 header.points.reader(buffers).read()
                 return arrays
         case ".csv":
@@ -117,8 +118,10 @@ def test_columns_of_hostile_names_are_read_by_others(tmp_path, sphere, upsample,
         assert "names are others" in said
 
 
+LAS_NAMES = ["red", "green", "blue", "intensity", "return_number", "number_of_returns", "classification", "gps_time"]
 STYLES = {
-    "PDAL": "X,Y,Z,Red,Green,Blue,Intensity,ReturnNumber,NumberOfReturns,Classification,GpsTime,NormalX,NormalY,NormalZ",
+    "PDAL": "X,Y,Z,Red,Green,Blue,Intensity,ReturnNumber,NumberOfReturns,Classification,GpsTime,"
+    "NormalX,NormalY,NormalZ",
     "CloudCompare": "x,y,z,R,G,B,scalar_Intensity,scalar_Return_Number,scalar_Number_Of_Returns,scalar_Classification,"
     "scalar_Gps_Time,Nx,Ny,Nz",
     "ours": "x,y,z,red,green,blue,intensity,return_number,number_of_returns,classification,gps_time,nx,ny,nz",
@@ -157,7 +160,7 @@ def test_what_a_column_means_has_its_place_in_every_format(tmp_path, sphere, ups
     names = {
         "ply": ["red", "green", "blue"],
         "e57": ["colorRed", "colorGreen", "colorBlue", "intensity", "returnIndex", "returnCount", None, "timeStamp"],
-    }.get(suffix, ["red", "green", "blue", "intensity", "return_number", "number_of_returns", "classification", "gps_time"])
+    }.get(suffix, LAS_NAMES)
     expected = [*wholes.T, time]
     for name, column in zip(names, expected[: len(names)], strict=True):
         if suffix in ("las", "laz") and name in ("red", "green", "blue"):
