@@ -68,18 +68,24 @@ type Score = (usize, usize, Reverse<usize>, bool, Reverse<usize>, Reverse<usize>
 /// The dialect in which most lines are points of the same number of fields, and most fields numbers. None where no line is
 /// a point in any.
 pub(super) fn best(lines: &[&Line], separator: Option<Separator>, decimal: Option<Decimal>) -> Option<Fit> {
-    let separators = Separator::ALL.into_iter().filter(|one| separator.is_none_or(|only| only == *one));
+    // What stands nowhere neither separates nor begins a fraction.
+    let stands = |c: char| lines.iter().any(|line| line.bytes.contains(&(c as u8)));
+    let may_separate = |one: &Separator| match separator {
+        Some(only) => *one == only,
+        None => one.character().is_none_or(stands),
+    };
+    let decimals: Vec<Decimal> = match decimal {
+        Some(only) => vec![only],
+        None if stands(',') => vec![Decimal::Point, Decimal::Comma],
+        None => vec![Decimal::Point],
+    };
     let mut best: Option<(Score, Fit)> = None;
-    for separator in separators {
-        for decimal in
-            [Decimal::Point, Decimal::Comma].into_iter().filter(|one| decimal.is_none_or(|only| only == *one))
+    for separator in Separator::ALL.into_iter().filter(may_separate) {
+        // A comma is not both.
+        for &decimal in decimals.iter().filter(|one| (separator, **one) != (Separator::Comma, Decimal::Comma))
         {
-            if (separator, decimal) == (Separator::Comma, Decimal::Comma) {
-                continue;
-            }
-            let Some((score, fit)) = scored(lines, Dialect { separator, decimal, quoted: false }) else {
-                continue;
-            };
+            let dialect = Dialect { separator, decimal, quoted: false };
+            let Some((score, fit)) = scored(lines, dialect) else { continue };
             if best.as_ref().is_none_or(|(most, _)| score > *most) {
                 best = Some((score, fit));
             }
