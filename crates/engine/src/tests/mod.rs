@@ -173,7 +173,8 @@ fn a_dropped_engine_cancels_what_waits() {
     let machine = Machine::new(5);
     let engine = engine(&machine, 1_000_000);
     machine.close();
-    let _running = engine.submit(request(1000, 16.0)).unwrap();
+    // Both large, which one thread alone takes: a small one may go to the other thread, and then neither waits.
+    let _running = engine.submit(request(5000, 64.0)).unwrap();
     machine.wait_for_a_batch();
     let waiting = engine.submit(request(5000, 64.0)).unwrap();
     drop(engine);
