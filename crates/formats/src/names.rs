@@ -1,6 +1,6 @@
 //! Names of columns as files have them: a format's own for what a column means, and others valid and each another.
 
-use std::collections::HashSet;
+use std::collections::{HashMap, HashSet};
 
 use densecloud_cloud::{Attribute, Origin, Role, roles_of};
 
@@ -61,14 +61,42 @@ impl NameRule<'_> {
 
     /// The name, with an end where something else has it.
     fn free(self, name: &str, used: &HashSet<String>) -> String {
-        let ends = (0..).map(|number| match number {
-            0 => String::new(),
-            1 => "_".to_owned(),
-            more => format!("_{more}"),
-        });
-        let mut names = ends.map(|end| cut(name.to_owned(), self.most.saturating_sub(end.len())) + &end);
+        let mut names =
+            (0..).map(end).map(|end| cut(name.to_owned(), self.most.saturating_sub(end.len())) + &end);
         // There are more numbers than columns.
         names.find(|name| !used.contains(name) && !(self.is_taken)(name)).unwrap_or_default()
+    }
+}
+
+/// Tells columns of one name apart as they are read.
+#[derive(Default)]
+pub(crate) struct Apart {
+    /// Names that are given, and how many ends of each were tried.
+    given: HashMap<String, usize>,
+}
+
+impl Apart {
+    /// The name, or, where an earlier column has it, the name with `_`, `_2`, `_3` or whatever is free behind it.
+    pub(crate) fn name(&mut self, wanted: &str) -> String {
+        let mut number = self.given.get(wanted).copied().unwrap_or(0);
+        let mut name = wanted.to_owned() + &end(number);
+        while self.given.contains_key(&name) {
+            number += 1;
+            name = wanted.to_owned() + &end(number);
+        }
+        // So that a thousand of one name are no million tries.
+        self.given.insert(wanted.to_owned(), number + 1);
+        self.given.entry(name.clone()).or_insert(1);
+        name
+    }
+}
+
+/// What tells the later ones of a name from the first.
+fn end(number: usize) -> String {
+    match number {
+        0 => String::new(),
+        1 => "_".to_owned(),
+        more => format!("_{more}"),
     }
 }
 
@@ -154,6 +182,16 @@ mod tests {
         assert_eq!(many.iter().collect::<HashSet<_>>().len(), 1000);
         assert!(many.iter().all(|name| name.len() <= 8));
         assert_eq!(many[999], "twic_999");
+    }
+
+    #[test]
+    fn columns_of_one_name_are_told_apart() {
+        let mut apart = Apart::default();
+        let names = ["a", "a_2", "a", "a", "a_", "a"].map(|name| apart.name(name));
+        assert_eq!(names, ["a", "a_2", "a_", "a_3", "a__", "a_4"]);
+        // As many as a header of a hostile file has.
+        let many: HashSet<String> = (0..200_000).map(|_| apart.name("b")).collect();
+        assert_eq!(many.len(), 200_000);
     }
 
     #[test]

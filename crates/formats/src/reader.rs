@@ -17,6 +17,9 @@ use densecloud_cloud::{Attribute, Cloud, Kind, Origin, Position, Values};
 /// Points that are read at a time where nobody says how many.
 const BLOCK: usize = 1 << 16;
 
+/// Sentences that are told of one file: over HTTP each is a header field, of which clients take a hundred.
+const MOST_NOTES: usize = 20;
+
 /// Reads one cloud: [`open`](Self::open) takes the header, then [`read`](Self::read) all points, or
 /// [`next_block`](Self::next_block) some at a time and [`finish`](Self::finish) what follows them.
 ///
@@ -203,6 +206,7 @@ impl<'r> CloudReader<'r> {
                 .notes
                 .push(format!("{options}: for text; this is {}, and tells its own", self.header.format));
         }
+        shorten(&mut ending.notes);
         ending.origin.named_in = Some(self.header.format.kind());
         ending.origin.sha256 = Some(self.source.sha256()?);
         Ok(ending)
@@ -231,6 +235,15 @@ impl<'r> CloudReader<'r> {
         };
         let attributes = all.columns.into_iter().zip(columns).filter_map(attribute).collect();
         Ok(Cloud { positions: all.positions, attributes, dropped_properties, notes, origin })
+    }
+}
+
+/// Leaves the first sentences, and how many there were beside them.
+fn shorten(notes: &mut Vec<String>) {
+    if notes.len() > MOST_NOTES {
+        let more = notes.len() - MOST_NOTES + 1;
+        notes.truncate(MOST_NOTES - 1);
+        notes.push(format!("and {more} more of this kind"));
     }
 }
 

@@ -1,6 +1,7 @@
 //! Reading.
 
 use super::super::axes::axes_among;
+use super::super::names::Apart;
 use super::super::numbers::CRS;
 use super::super::reader::{Block, ColumnName, Ending, Points};
 use super::super::source::Source;
@@ -175,20 +176,19 @@ impl PcdPoints {
 
     /// The attributes, and where each comes from.
     fn attributes(&self) -> Vec<(String, Column)> {
-        let mut attributes = Vec::new();
+        let (mut attributes, mut apart) = (Vec::new(), Apart::default());
         for (place, field) in self.fields.iter().enumerate() {
             let Some(kind) = field.kind.filter(|_| field.is_kept() && !self.axes.contains(&place)) else {
                 continue;
             };
             if !field.is_colour() {
-                let name = free_name(&attributes, &field.name);
-                attributes.push((name, Column { field: place, kind, shift: None }));
+                attributes.push((apart.name(&field.name), Column { field: place, kind, shift: None }));
                 continue;
             }
             let alpha = field.name.eq_ignore_ascii_case("rgba").then_some(("alpha", 24));
             for (name, shift) in [("red", 16), ("green", 8), ("blue", 0)].into_iter().chain(alpha) {
                 let column = Column { field: place, kind: Kind::U8, shift: Some(shift) };
-                attributes.push((free_name(&attributes, name), column));
+                attributes.push((apart.name(name), column));
             }
         }
         attributes
@@ -343,15 +343,6 @@ impl Points for PcdPoints {
         let notes = self.notes();
         Ok(Ending { columns, dropped_properties: Vec::new(), notes, origin: self.origin })
     }
-}
-
-/// A name that no attribute has yet.
-fn free_name(attributes: &[(String, Column)], name: &str) -> String {
-    let mut name = name.to_owned();
-    while attributes.iter().any(|(other, _)| *other == name) {
-        name.push('_');
-    }
-    name
 }
 
 /// A comment of the header: the coordinate system, as it is written here, or a line about the file.

@@ -107,7 +107,8 @@ impl Points for PlyPoints {
         let columns = self.vertices.columns.iter();
         let columns =
             columns.map(|c| Some(ColumnName { name: properties[c.property].name.clone(), kind: c.kind }));
-        Ok(Ending { columns: columns.collect(), dropped_properties: Vec::new(), notes: Vec::new(), origin })
+        let (columns, notes) = (columns.collect(), self.header.notes);
+        Ok(Ending { columns, dropped_properties: Vec::new(), notes, origin })
     }
 }
 
@@ -290,7 +291,7 @@ impl VertexReader {
 /// Where the coordinates stand among the properties.
 fn axes(source: &Source<'_>, vertex: &Element) -> Result<[usize; 3], FormatError> {
     let names = vertex.properties.iter().map(|property| match property.shape {
-        Shape::Scalar(_) => property.name.as_str(),
+        Shape::Scalar(_) => property.declared.as_str(),
         Shape::List { .. } => "",
     });
     let names: Vec<&str> = names.collect();

@@ -2,6 +2,7 @@
 
 use std::collections::HashSet;
 
+use super::super::names::Apart;
 use super::super::source::Source;
 use super::super::{FormatError, PlyEncoding};
 use densecloud_cloud::Kind;
@@ -18,6 +19,8 @@ pub(super) struct PlyHeader {
     pub(super) elements: Vec<Element>,
     /// What the lines `comment` and `obj_info` say.
     pub(super) comments: Vec<String>,
+    /// What was done about properties of one name, a sentence each.
+    pub(super) notes: Vec<String>,
 }
 
 /// A table: `count` rows of `properties`.
@@ -32,7 +35,10 @@ pub(super) struct Element {
 /// A column.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) struct Property {
+    /// No other property of the element has it.
     pub(super) name: String,
+    /// The name in the file.
+    pub(super) declared: String,
     pub(super) shape: Shape,
 }
 
@@ -51,10 +57,10 @@ pub(super) enum Shape {
 pub(super) fn parse(source: &mut Source<'_>) -> Result<PlyHeader, FormatError> {
     let mut encoding = None;
     let mut elements: Vec<Element> = Vec::new();
-    let mut comments = Vec::new();
+    let (mut comments, mut notes) = (Vec::new(), Vec::new());
     let mut element_names = HashSet::new();
     // Of the last element.
-    let mut property_names = HashSet::new();
+    let mut property_names = Apart::default();
     let mut bytes = 0;
     for number in 0..MAX_LINES {
         let Some(range) = source.next_line()? else {
@@ -76,7 +82,7 @@ pub(super) fn parse(source: &mut Source<'_>) -> Result<PlyHeader, FormatError> {
             (0, _) => return Err(bad("a PLY file begins with the line `ply`".into())),
             (_, ["end_header"]) => {
                 let encoding = encoding.ok_or_else(|| bad("the PLY header has no `format` line".into()))?;
-                return Ok(PlyHeader { encoding, elements, comments });
+                return Ok(PlyHeader { encoding, elements, comments, notes });
             }
             (_, ["format", name, version]) => {
                 if encoding.is_some() {
@@ -91,18 +97,16 @@ pub(super) fn parse(source: &mut Source<'_>) -> Result<PlyHeader, FormatError> {
                 let count = count
                     .parse()
                     .map_err(|_| bad(format!("`{count}` is not a number of `{name}` elements")))?;
-                property_names.clear();
+                property_names = Apart::default();
                 elements.push(Element { name: (*name).to_owned(), count, properties: Vec::new() });
             }
             (_, ["property", rest @ ..]) => {
                 let Some(element) = elements.last_mut() else {
                     return Err(bad("a `property` before any `element`".into()));
                 };
-                let property = parse_property(rest).map_err(bad)?;
-                if !property_names.insert(property.name.clone()) {
-                    let why = format!("`{}` has the property `{}` twice", element.name, property.name);
-                    return Err(bad(why));
-                }
+                let mut property = parse_property(rest).map_err(bad)?;
+                property.name = property_names.name(&property.declared);
+                notes.extend(property.renamed(&element.name));
                 element.properties.push(property);
             }
             _ => return Err(bad(format!("`{}` means nothing in a PLY header", line.trim()))),
@@ -131,10 +135,24 @@ fn parse_property(words: &[&str]) -> Result<Property, String> {
             if matches!(length, Kind::F32 | Kind::F64) {
                 return Err(format!("the length of the list `{name}` cannot be a float"));
             }
-            Ok(Property { name: (*name).to_owned(), shape: Shape::List { length, item } })
+            Ok(Property::of(name, Shape::List { length, item }))
         }
-        [scalar, name] => Ok(Property { name: (*name).to_owned(), shape: Shape::Scalar(kind(scalar)?) }),
+        [scalar, name] => Ok(Property::of(name, Shape::Scalar(kind(scalar)?))),
         _ => Err(format!("cannot read `property {}`", words.join(" "))),
+    }
+}
+
+impl Property {
+    fn of(name: &str, shape: Shape) -> Self {
+        Self { name: name.to_owned(), declared: name.to_owned(), shape }
+    }
+
+    /// What is told of a name that is not the file's.
+    fn renamed(&self, element: &str) -> Option<String> {
+        let Self { name, declared, .. } = self;
+        (name != declared).then(|| {
+            format!("`{declared}` is the name of several properties of `{element}`; a later one is called `{name}`")
+        })
     }
 }
 
@@ -255,7 +273,6 @@ mod tests {
             ("element vertex many\n", 2, "`many`"),
             ("element vertex 1\nelement vertex 1\n", 3, "twice"),
             ("property float x\n", 2, "before any"),
-            ("element vertex 1\nproperty float x\nproperty uchar x\n", 4, "`x` twice"),
             ("element vertex 1\nproperty half x\n", 3, "`half`"),
             ("element vertex 1\nproperty float x y\n", 3, "property float x y"),
             ("element face 1\nproperty list float int i\n", 3, "cannot be a float"),

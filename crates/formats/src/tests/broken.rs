@@ -70,6 +70,65 @@ fn mixed_types_and_other_elements_are_read() {
 }
 
 #[test]
+fn a_property_that_is_declared_twice_is_read_under_two_names() {
+    let header = |encoding: &str| {
+        format!(
+            "ply\nformat {encoding} 1.0\nelement vertex 2\nproperty float x\nproperty uchar red\nproperty float y\n\
+             property uchar red\nproperty float z\nproperty short red\nelement camera 1\nproperty uchar id\n\
+             property uchar id\nend_header\n"
+        )
+    };
+    let mut binary = header("binary_little_endian").into_bytes();
+    for (x, numbers) in [(1.0_f32, [7_u8, 8]), (2.0, [9, 10])] {
+        binary.extend(
+            [&x.to_le_bytes()[..], &numbers[..1], &[0; 4], &numbers[1..], &[0; 4], &[11, 1]].concat(),
+        );
+    }
+    binary.extend([1, 2]);
+    let text = header("ascii") + "1 7 0 8 0 267\n2 9 0 10 0 267\n1 2\n";
+    for bytes in [binary.as_slice(), text.as_bytes()] {
+        let cloud = read(bytes).expect("a cloud");
+        assert_eq!(cloud.positions, [[1.0, 0.0, 0.0], [2.0, 0.0, 0.0]]);
+        let attributes: Vec<(&str, &Values)> =
+            cloud.attributes.iter().map(|a| (a.name.as_str(), &a.values)).collect();
+        let (first, second, third) =
+            (Values::U8(vec![7, 9]), Values::U8(vec![8, 10]), Values::I16(vec![267, 267]));
+        assert_eq!(attributes, [("red", &first), ("red_", &second), ("red_2", &third)]);
+        assert_eq!(
+            cloud.notes,
+            [
+                "`red` is the name of several properties of `vertex`; a later one is called `red_`",
+                "`red` is the name of several properties of `vertex`; a later one is called `red_2`",
+                "`id` is the name of several properties of `camera`; a later one is called `id_`",
+            ]
+        );
+        // As it is written, others read it.
+        let again = encode(
+            Vec::new(),
+            ply(PlyEncoding::Ascii, Scalar::F32),
+            &cloud.positions,
+            &cloud.attributes,
+            &cloud.origin,
+        );
+        let again = String::from_utf8(again.expect("a file")).expect("ascii");
+        assert!(again.contains("property uchar red_\nproperty short red_2\n"), "{again}");
+        assert!(again.contains("property uchar id\nproperty uchar id_\n"), "{again}");
+    }
+    // Which of two is the coordinate, nothing tells.
+    let error = read(text.replacen("uchar red", "uchar x", 1).as_bytes()).expect_err("x twice").to_string();
+    assert!(error.contains("x, x may all be the coordinate x"), "{error}");
+    // Of a hostile header, some are told.
+    let many = "property uchar red\n".repeat(9_000);
+    let text = text
+        .replacen("property uchar red\n", &many, 1)
+        .replace(" 7 ", &" 7 ".repeat(9_000))
+        .replace(" 9 ", &" 9 ".repeat(9_000));
+    let cloud = read(text.as_bytes()).expect("a cloud");
+    assert_eq!((cloud.attributes.len(), cloud.notes.len()), (9_002, 20));
+    assert_eq!(cloud.notes[19], "and 8983 more of this kind");
+}
+
+#[test]
 fn every_cut_is_an_error() {
     let bytes = mixed(false);
     for end in 0..bytes.len() {

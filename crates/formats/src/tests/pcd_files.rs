@@ -128,11 +128,21 @@ fn names_that_come_twice_are_made_different() {
     let values: Vec<(&str, f64)> =
         cloud.attributes.iter().map(|a| (a.name.as_str(), a.values.get(0))).collect();
     let expected =
-        [("i", 4.0), ("i_", 5.0), ("red", 1.0), ("green", 1.0), ("blue", 1.0), ("red_", 7.0), ("i__", 8.0)];
+        [("i", 4.0), ("i_", 5.0), ("red", 1.0), ("green", 1.0), ("blue", 1.0), ("red_", 7.0), ("i_2", 8.0)];
     assert_eq!(values, expected);
     let told: Vec<&str> =
         cloud.notes.iter().map(|note| note.split(" is the name").next().unwrap_or("")).collect();
     assert_eq!(told, ["`i`", "`red`", "`i`"]);
+    // A hostile header, in time that grows with it.
+    let of = |word: &str| word.repeat(40_000);
+    let many = format!(
+        "VERSION .7\nFIELDS x y z{}\nSIZE 4 4 4{}\nTYPE F F F{}\nWIDTH 1\nPOINTS 1\nDATA binary\n",
+        of(" i"),
+        of(" 1"),
+        of(" U")
+    );
+    let many = read(&[many.as_bytes(), &[0; 40_012]].concat()).expect("a cloud");
+    assert_eq!((many.attributes.len(), many.notes.len()), (40_000, 20));
     let twice = text.replacen("x y z i i", "x x z i i", 1);
     assert!(read(twice.as_bytes()).expect_err("x twice").to_string().contains("no number `y`"));
     let twice = text.replacen("x y z i i", "x y z x i", 1);
