@@ -6,6 +6,7 @@ import laspy
 import numpy as np
 import open3d
 import plyfile
+import pycolmap
 import pye57
 import pypcd4
 import pytest
@@ -94,18 +95,45 @@ def columns_of(path):
     return {name: data[name] for name in data.dtype.names if name not in axes}
 
 
-@pytest.mark.parametrize("suffix", ["ply", "pcd", "las", "laz", "e57", "npy", "csv"])
-def test_columns_of_hostile_names_are_read_by_others(tmp_path, sphere, upsample, suffix):
+@pytest.fixture
+def hostile(tmp_path, sphere):
+    """An array whose columns have all of these names, and numbers that tell which is which."""
     points, _ = sphere
-    source, result = tmp_path / "source.npy", tmp_path / f"result.{suffix}"
     table = np.zeros(len(points), dtype=[(n, "f8") for n in "xyz"] + [(name, "i4") for name in HOSTILE])
     for axis, name in enumerate("xyz"):
         table[name] = points[:, axis]
     for i, name in enumerate(HOSTILE):
         table[name] = 100_000 * (i + 1) + np.arange(len(points))
-    np.save(source, table)
+    np.save(tmp_path / "source.npy", table)
+    return tmp_path / "source.npy"
 
-    said = upsample(source, result, "--ratio", 1, "--keep-input")
+
+@pytest.mark.parametrize("form", ["txt", "bin"])
+def test_columns_of_hostile_names_are_no_matter_to_colmap(tmp_path, sphere, hostile, upsample, form):
+    """It has no names; what is lost is told."""
+    points, _ = sphere
+    for write in ("write_text", "write_binary"):
+        getattr(pycolmap.Reconstruction(), write)(tmp_path)
+    for other in {"txt", "bin"} - {form}:
+        for file in tmp_path.glob(f"*.{other}"):
+            file.unlink()
+
+    said = upsample(hostile, tmp_path / f"points3D.{form}", "--ratio", 1, "--keep-input")
+
+    read = pycolmap.Reconstruction(tmp_path).points3D
+    assert np.array_equal([read[key].xyz for key in sorted(read)], points)
+    lost = next(line for line in said.splitlines() if "has no place for" in line)
+    for name in HOSTILE:
+        if name.isprintable() and name.strip():
+            assert name in lost, name
+
+
+@pytest.mark.parametrize("suffix", ["ply", "pcd", "las", "laz", "e57", "npy", "csv"])
+def test_columns_of_hostile_names_are_read_by_others(tmp_path, sphere, hostile, upsample, suffix):
+    points, _ = sphere
+    result = tmp_path / f"result.{suffix}"
+
+    said = upsample(hostile, result, "--ratio", 1, "--keep-input")
 
     columns = columns_of(result)
     found = {int(column[0]) for column in columns.values()}

@@ -86,6 +86,8 @@ pub enum Role {
     Column,
     /// How sure the position is.
     Confidence,
+    /// How far the position may be off, such as COLMAP's mean distance to its sightings, in pixels.
+    Error,
     /// Whether the colour is absent.
     ColourInvalid,
     /// Whether the intensity is absent.
@@ -191,6 +193,7 @@ const TABLE: &[Row] = &[
     (Role::Row, "row_index", &["row"]),
     (Role::Column, "column_index", &["column", "col", "colindex"]),
     (Role::Confidence, "confidence", &["conf", "certainty"]),
+    (Role::Error, "error", &["reprojectionerror", "reprojerror", "meanreprojectionerror", "meanreprojerror"]),
     (Role::ColourInvalid, "color_invalid", &["iscolorinvalid", "colourinvalid", "iscolourinvalid"]),
     (Role::IntensityInvalid, "intensity_invalid", &["isintensityinvalid"]),
     (Role::TimeInvalid, "timestamp_invalid", &["istimestampinvalid", "timeinvalid"]),
@@ -365,6 +368,7 @@ mod tests {
         (Role::Row, &["row", "row_index", "rowIndex"]),
         (Role::Column, &["column", "column_index", "columnIndex"]),
         (Role::Confidence, &["confidence", "Confidence"]),
+        (Role::Error, &["error", "ERROR", "scalar_error", "reprojection_error"]),
         (Role::ColourInvalid, &["color_invalid", "isColorInvalid"]),
         (Role::IntensityInvalid, &["intensity_invalid", "isIntensityInvalid"]),
         (Role::RotationW, &["rot_0", "qw", "quat_w", "rotation.w"]),

@@ -56,6 +56,11 @@ impl NewKeys {
         Self { given: vec![false; count], next: highest + 1, source }
     }
 
+    /// Whether the source's points have keys.
+    pub(super) fn has_source(&self) -> bool {
+        self.source.is_some()
+    }
+
     /// The key of the next point. O(log n).
     pub(super) fn next(&mut self, position: Position) -> u64 {
         self.kept(position.map(f64::to_bits)).unwrap_or_else(|| {

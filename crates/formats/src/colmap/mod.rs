@@ -20,8 +20,10 @@ pub(crate) struct Colmap {
 
 /// The attribute that is a point's key.
 const ID: &str = "point3d_id";
-/// How far a point is from its sightings in the images, in pixels, in the mean.
+/// How far a point is from its sightings in the images, in pixels, in the mean; NaN where nobody knows.
 const ERROR: &str = "error";
+/// What files have where nobody knows.
+const NO_ERROR: f64 = -1.0;
 /// The other attributes.
 const COLOUR: [&str; 3] = ["red", "green", "blue"];
 
@@ -87,7 +89,7 @@ impl Choices for Colmap {
     }
 
     fn not_held(&self, attributes: &[Attribute], origin: &Origin) -> Vec<String> {
-        let mut lost = write::not_held(attributes);
+        let mut lost = write::not_held(attributes, origin);
         lost.extend(origin.extra.iter().flat_map(|extra| extra.lost_elsewhere()));
         lost
     }

@@ -6,7 +6,7 @@ use super::super::source::Source;
 use super::super::text::{next_token, parse_f64, shown};
 use super::super::{Format, FormatError, Header, Limits, Place};
 use super::ids::Keys;
-use super::{COLOUR, ERROR, ID, RECORD, SIGHTING, TITLE, has_title};
+use super::{COLOUR, ERROR, ID, NO_ERROR, RECORD, SIGHTING, TITLE, has_title};
 use densecloud_cloud::{Kind, Origin, Position, Values};
 
 /// COLMAP's mark for a point that there is not; keys end below.
@@ -17,6 +17,8 @@ pub(super) struct ColmapPoints {
     max_points: Option<u64>,
     /// How many records there are by the count before them; none in text.
     claimed: Option<u64>,
+    /// The line of a comment that counts the points of text, and the count.
+    counted: Option<(u64, u64)>,
     given: u64,
     /// How many of them have a track.
     tracks: u64,
@@ -63,6 +65,7 @@ impl ColmapPoints {
         let points = Self {
             max_points: limits.max_points,
             claimed,
+            counted: None,
             given: 0,
             tracks: 0,
             lowest: u64::MAX,
@@ -100,13 +103,42 @@ impl ColmapPoints {
         while let Some(range) = source.next_line()? {
             let line = source.bytes(range).trim_ascii();
             if let Some(comment) = line.strip_prefix(b"#") {
-                note(comment, &mut self.origin);
+                self.note(comment, source.line_number());
             } else if !line.is_empty() {
                 let record = Record::of_line(line);
                 return record.map(Some).map_err(|why| FormatError::malformed(source.line(), why));
             }
         }
         Ok(None)
+    }
+
+    /// Keeps a comment that is none of those that COLMAP writes itself. Only the first that counts points is COLMAP's.
+    fn note(&mut self, comment: &[u8], line: u64) {
+        let text = String::from_utf8_lossy(comment);
+        let usual = ["3D point list", TITLE, "Number of points:"];
+        if let Some(count) = count_of(&text) {
+            self.counted.get_or_insert((line, count));
+        } else if !usual.iter().any(|word| text.trim_start().starts_with(word)) {
+            self.origin.comment(&text);
+        }
+    }
+
+    /// Holds text to its count: it is all that tells a file that was cut between two lines.
+    fn check_count(&self, end: Place) -> Result<(), FormatError> {
+        match self.counted {
+            Some((line, count)) if count > self.given => {
+                let why = format!("line {line} counts {count} points, and {} are there", self.given);
+                Err(FormatError::truncated(end, why))
+            }
+            Some((line, count)) if count < self.given => {
+                let why = format!(
+                    "it counts {count} points, and {} follow; if they are meant to, correct or remove this line",
+                    self.given
+                );
+                Err(FormatError::malformed(Place::Line(line), why))
+            }
+            _ => Ok(()),
+        }
     }
 
     fn put(&mut self, record: &Record, to: &mut Block) {
@@ -116,6 +148,7 @@ impl ColmapPoints {
                 // As checked.
                 (0, Values::I64(keys)) => keys.push(record.key as i64),
                 (1..=3, Values::U8(colour)) => colour.push(record.colour[i - 1]),
+                (_, Values::F64(errors)) if record.error == NO_ERROR => errors.push(f64::NAN),
                 (_, Values::F64(errors)) => errors.push(record.error),
                 _ => {}
             }
@@ -147,6 +180,7 @@ impl Points for ColmapPoints {
 
     fn finish(self: Box<Self>, source: &mut Source<'_>) -> Result<Ending, FormatError> {
         source.expect_end("the points that the file counts")?;
+        self.check_count(source.line())?;
         // As checked.
         let keys = TextColumn::Whole { lowest: self.lowest as i64, highest: self.highest as i64 };
         let kinds = [keys.kind().unwrap_or(Kind::I64), Kind::U8, Kind::U8, Kind::U8, Kind::F64];
@@ -218,7 +252,7 @@ impl Record {
     /// Whether these are numbers that a reconstruction has.
     fn is_usual(&self) -> bool {
         let is_coordinate = |c: &f64| *c == 0.0 || (1e-12..1e12).contains(&c.abs());
-        let is_error = self.error == -1.0 || (0.0..1e6).contains(&self.error);
+        let is_error = self.error == NO_ERROR || (0.0..1e6).contains(&self.error);
         self.key < 1 << 48 && self.position.iter().all(is_coordinate) && is_error && self.sightings < 1 << 20
     }
 }
@@ -250,11 +284,10 @@ fn whole(token: &[u8]) -> Option<u64> {
     std::str::from_utf8(token).ok()?.parse().ok().filter(|key| *key != NO_KEY)
 }
 
-/// A comment that is none of those that COLMAP writes itself.
-fn note(comment: &[u8], origin: &mut Origin) {
-    let text = String::from_utf8_lossy(comment);
-    let usual = ["3D point list", TITLE, "Number of points:"];
-    if !usual.iter().any(|word| text.trim_start().starts_with(word)) {
-        origin.comment(&text);
-    }
+/// The count in a comment as COLMAP writes it: `Number of points: 2, mean track length: 1.5`.
+fn count_of(comment: &str) -> Option<u64> {
+    let (count, length) =
+        comment.trim().strip_prefix("Number of points: ")?.split_once(", mean track length: ")?;
+    length.parse::<f64>().ok()?;
+    count.parse().ok()
 }

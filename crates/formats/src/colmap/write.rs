@@ -6,11 +6,8 @@ use std::ops::Range;
 use super::super::FormatError;
 use super::super::kind::{Begun, FirstPass, Rows};
 use super::ids::NewKeys;
-use super::{ERROR, ID, TITLE};
+use super::{ID, NO_ERROR, TITLE};
 use densecloud_cloud::{Attribute, Origin, Position, Role, column_of};
-
-/// What COLMAP writes where it does not know how far a point is from its sightings.
-const NO_ERROR: f64 = -1.0;
 
 /// What is known of the points before the first one is written.
 pub(super) struct Seen {
@@ -31,7 +28,7 @@ impl Seen {
             comments: origin.comments.clone(),
             keys: NewKeys::new(origin),
             colour: Colour::find(attributes),
-            error: attributes.iter().position(|a| a.name == ERROR),
+            error: find(attributes, Role::Error),
         }
     }
 }
@@ -79,7 +76,8 @@ impl Rows for ColmapRows {
             let key = self.keys.next(*position);
             let [x, y, z] = *position;
             let [red, green, blue] = self.colour.map_or([0; 3], |colour| colour.bytes(attributes, row));
-            let error = self.error.map_or(NO_ERROR, |place| attributes[place].values.get(row));
+            let error = self.error.map(|place| attributes[place].values.get(row));
+            let error = error.filter(|error| error.is_finite()).unwrap_or(NO_ERROR);
             if self.binary {
                 bytes.extend(key.to_le_bytes());
                 bytes.extend(position.iter().flat_map(|c| c.to_le_bytes()));
@@ -108,16 +106,24 @@ fn title(points: u64, comments: &[String]) -> Vec<u8> {
 }
 
 /// Names of attributes that have no place.
-pub(super) fn not_held(attributes: &[Attribute]) -> Vec<String> {
+pub(super) fn not_held(attributes: &[Attribute], origin: &Origin) -> Vec<String> {
     let colour = Colour::find(attributes).map(|mut colour| {
         colour.see(attributes, 0..attributes.first().map_or(0, |first| first.values.len()));
         colour
     });
     let places =
         colour.filter(|colour| colour.white().is_some()).map_or([usize::MAX; 3], |colour| colour.places);
-    let is_held = |i: usize, name: &str| places.contains(&i) || name == ERROR || name == ID;
+    let error = find(attributes, Role::Error);
+    let has_keys = NewKeys::new(origin).has_source();
+    let is_held = |i: usize, name: &str| places.contains(&i) || error == Some(i) || name == ID && has_keys;
     let lost = attributes.iter().enumerate().filter(|(i, a)| !is_held(*i, &a.name));
     lost.map(|(_, a)| a.name.clone()).collect()
+}
+
+/// The place of the attribute that means this.
+fn find(attributes: &[Attribute], role: Role) -> Option<usize> {
+    let names: Vec<&str> = attributes.iter().map(|a| a.name.as_str()).collect();
+    column_of(&names, role)
 }
 
 /// The attributes that are a colour.
@@ -133,8 +139,7 @@ struct Colour {
 impl Colour {
     /// The colour, if there is one; none of its numbers is seen.
     fn find(attributes: &[Attribute]) -> Option<Self> {
-        let names: Vec<&str> = attributes.iter().map(|a| a.name.as_str()).collect();
-        let find = |role| column_of(&names, role);
+        let find = |role| find(attributes, role);
         let places = [find(Role::Red)?, find(Role::Green)?, find(Role::Blue)?];
         let is_real = places.iter().all(|place| attributes[*place].values.kind().is_float());
         Some(Self { places, is_real, most: 0.0 })

@@ -8,7 +8,7 @@ use densecloud_cloud::Origin;
 const TEXT: &str = "# 3D point list with one line of data per point:\n\
                     #   POINT3D_ID, X, Y, Z, R, G, B, ERROR, TRACK[] as (IMAGE_ID, POINT2D_IDX)\n\
                     # Number of points: 3, mean track length: 1\n# kept by hand\n\
-                    7 1.5 -2 3 10 20 30 0.5 1 8 2 9\n5000000000 0.25 0 -1e-3 255 0 7 1.25\n\n12 4 5 6 1 2 3 -1 3 4\n";
+                    7 1.5 -2 3 10 20 30 0.5 1 8 2 9\n5000000000 0.25 0 -1e-3 255 0 7 1.25\n\n12 4 5 6 1 2 3 0 3 4\n";
 
 /// The same points as records.
 fn records() -> Vec<u8> {
@@ -16,7 +16,7 @@ fn records() -> Vec<u8> {
     for (key, position, colour, error, track) in [
         (7_u64, [1.5, -2.0, 3.0], [10, 20, 30], 0.5, &[1_u32, 8, 2, 9][..]),
         (5_000_000_000, [0.25, 0.0, -1e-3], [255, 0, 7], 1.25, &[]),
-        (12, [4.0, 5.0, 6.0], [1, 2, 3], -1.0, &[3, 4]),
+        (12, [4.0, 5.0, 6.0], [1, 2, 3], 0.0, &[3, 4]),
     ] {
         bytes.extend(key.to_le_bytes());
         bytes.extend(position.iter().flat_map(|c: &f64| c.to_le_bytes()));
@@ -56,7 +56,7 @@ fn both_forms_are_read_alike() {
         assert_eq!(column(0), ("point3d_id", Values::I64(vec![7, 5_000_000_000, 12])));
         assert_eq!(column(1), ("red", Values::U8(vec![10, 255, 1])));
         assert_eq!(column(3), ("blue", Values::U8(vec![30, 7, 3])));
-        assert_eq!(column(4), ("error", Values::F64(vec![0.5, 1.25, -1.0])));
+        assert_eq!(column(4), ("error", Values::F64(vec![0.5, 1.25, 0.0])));
         assert_eq!(cloud.dropped_properties, ["the tracks of 2 points"]);
         assert_eq!(cloud.origin.comments.len(), usize::from(!binary));
     }
@@ -88,6 +88,55 @@ fn what_is_written_reads_back() {
 }
 
 #[test]
+fn an_error_that_nobody_knows_is_no_number() {
+    let error =
+        |cloud: &Cloud| cloud.attributes.iter().find(|a| a.name == "error").expect("one").values.clone();
+    let mut bytes = records();
+    bytes[8 + 35..8 + 43].copy_from_slice(&(-1.0_f64).to_le_bytes());
+    for bytes in [bytes, TEXT.replacen("30 0.5", "30 -1", 1).into_bytes()] {
+        let cloud = read(&bytes).expect("a cloud");
+        assert!(error(&cloud).get(0).is_nan() && error(&cloud).get(1) == 1.25);
+        let text = String::from_utf8(written(&cloud, false)).expect("text");
+        assert!(text.contains("\n7 1.5 -2.0 3.0 10 20 30 -1.0\n"), "{text}");
+        assert_eq!(written(&cloud, true)[8 + 35..8 + 43], (-1.0_f64).to_le_bytes());
+    }
+    // Under another program's name, too.
+    let attributes =
+        vec![Attribute { name: "scalar_error".into(), values: Values::F32(vec![0.5, f32::INFINITY]) }];
+    let cloud = Cloud { attributes, ..Cloud::from(vec![[0.0; 3], [1.0; 3]]) };
+    assert!(format(true).cannot_hold(&cloud.attributes, &cloud.origin).is_empty());
+    let back = error(&read(&written(&cloud, true)).expect("a cloud"));
+    assert!(back.get(0) == 0.5 && back.get(1).is_nan(), "{back:?}");
+}
+
+#[test]
+fn text_has_as_many_points_as_it_counts() {
+    let lines: Vec<&str> = TEXT.lines().collect();
+    let error = read(lines[..6].join("\n").as_bytes()).expect_err("cut").to_string();
+    assert_eq!(error, "the data end at line 6: line 3 counts 3 points, and 2 are there");
+    let error = read((TEXT.to_owned() + "13 4 5 6 1 2 3 0\n").as_bytes()).expect_err("more").to_string();
+    assert!(error.starts_with("line 3: it counts 3 points, and 4 follow; "), "{error}");
+    let none = lines[..4].join("\n");
+    assert!(read(none.as_bytes()).expect_err("none").to_string().contains("line 3 counts 3 points, and 0"));
+    // As others write it, and in words that are no count of COLMAP's.
+    for (from, to) in [
+        ("mean track length: 1", "mean track length: 1.3333"),
+        ("mean track length: 1", "mean track length: nan"),
+        ("points: 3, mean track length: 1", "points: 7"),
+        ("points: 3, mean", "points: about 7, mean"),
+        ("# kept by hand", "# Number of points: 7, mean track length: 2"),
+    ] {
+        let text = TEXT.replacen(from, to, 1);
+        assert_eq!(read(text.as_bytes()).expect(&text).positions.len(), 3);
+    }
+    // What another file says of itself is no count of this one.
+    let mut cloud = read(TEXT.as_bytes()).expect("a cloud");
+    cloud.origin.comments = vec!["Number of points: 7, mean track length: 2".into(), "a\nNumber".into()];
+    let back = read(&written(&cloud, false)).expect("a cloud");
+    assert_eq!((back.positions.len(), back.origin.comments), (3, vec!["a Number".to_owned()]));
+}
+
+#[test]
 fn every_point_has_a_key_and_those_of_the_source_keep_theirs() {
     let source = read(TEXT.as_bytes()).expect("a cloud");
     // Its second point, a new one, its first, its second again, and another new one; each with the nearest one's attributes.
@@ -106,8 +155,10 @@ fn every_point_has_a_key_and_those_of_the_source_keep_theirs() {
         assert_eq!(keys(&back), [5_000_000_000, 5_000_000_001, 7, 5_000_000_002, 5_000_000_003]);
         assert_eq!(back.attributes[1].values, Values::U8(vec![255, 255, 10, 255, 1]));
     }
-    // Of another source, they count from 1.
+    assert!(format(true).cannot_hold(&dense.attributes, &dense.origin).is_empty());
+    // Of another source, they count from 1, and its own are lost.
     let dense = Cloud { origin: Origin::default(), ..dense };
+    assert_eq!(format(true).cannot_hold(&dense.attributes, &dense.origin), ["point3d_id"]);
     assert_eq!(keys(&read(&written(&dense, true)).expect("a cloud")), [1, 2, 3, 4, 5]);
 }
 
@@ -130,7 +181,7 @@ fn other_clouds_have_black_points_of_unknown_error_and_what_is_lost_is_told() {
         let back = read(&written(&cloud, binary)).expect("a cloud");
         assert_eq!((back.positions[0], back.positions[1][2]), ([1.0; 3], 1e300));
         assert_eq!(back.attributes[2].values, Values::U8(vec![7, 6]));
-        assert_eq!(back.attributes[4].values, Values::F64(vec![-1.0, -1.0]));
+        assert!((0..2).all(|i| back.attributes[4].values.get(i).is_nan()), "{:?}", back.attributes[4]);
         let plain = Cloud::from(cloud.positions.clone());
         let back = read(&written(&plain, binary)).expect("a cloud");
         assert_eq!(back.attributes[1].values, Values::U8(vec![0, 0]));

@@ -14,15 +14,17 @@ use densecloud_cloud::{Kind, Origin, Role};
 
 const POINTS: usize = 64;
 const LAS: Format = Format::Las { compressed: false };
+const COLMAP: Format = Format::Colmap { binary: false };
 
 /// The formats that are written, and what the table calls them.
-fn targets() -> [(&'static str, Format); 6] {
+fn targets() -> [(&'static str, Format); 7] {
     [
         ("PLY", ply(PlyEncoding::BinaryLittleEndian, Scalar::F64)),
         ("LAS, LAZ", LAS),
         ("E57", Format::E57),
         ("PCD", Format::Pcd { encoding: PcdEncoding::Binary, scalar: Scalar::F64 }),
         ("NumPy", Format::Npy { scalar: Scalar::F64, fields: true }),
+        ("COLMAP", COLMAP),
         ("text", Format::Xyz { names: true, separator: Separator::Comma, decimal: Decimal::Point }),
     ]
 }
@@ -41,7 +43,7 @@ enum Style {
 type Part = ([&'static str; 3], Kind, fn(usize) -> f64);
 
 #[rustfmt::skip]
-const PARTS: [Part; 32] = [
+const PARTS: [Part; 33] = [
     (["Red", "R", "red"], Kind::U8, |i| (3 * i) as f64),
     (["Green", "G", "green"], Kind::U8, |i| (4 * i) as f64 + 1.0),
     (["Blue", "B", "blue"], Kind::U8, |i| 255.0 - i as f64),
@@ -71,6 +73,7 @@ const PARTS: [Part; 32] = [
     (["PointId", "scalar_Point_ID", "id"], Kind::U32, |i| 1e6 + i as f64),
     (["SegmentId", "scalar_Label", "label"], Kind::I32, |i| (i / 9) as f64 - 1.0),
     (["Confidence", "scalar_Confidence", "confidence"], Kind::F32, |i| 1.0 / (2.0 + i as f64)),
+    (["Error", "scalar_error", "error"], Kind::F64, |i| 0.5 + i as f64 / 128.0),
     (["Row", "scalar_Row", "row_index"], Kind::I32, |i| (i / 7) as f64 + 300.0),
     (["Column", "scalar_Column", "column_index"], Kind::I32, |i| (i % 7) as f64 + 300.0),
     (["Deviation", "scalar_Deviation", "deviation"], Kind::U16, |i| (i % 11) as f64 + 400.0),
@@ -125,8 +128,12 @@ fn fate(
     };
     // No two columns have the same numbers, nor nearly.
     let exactly = |a: f64, b: f64| a == b || attribute.values.kind() == Kind::F32 && a as f32 == b as f32;
-    let ways: [(&str, Same); 3] =
-        [("", &exactly), ("× 257", &|a, b| 257.0 * a == b), ("rounded", &|a, b| (a - b).abs() <= 0.003)];
+    let ways: [(&str, Same); 4] = [
+        ("", &exactly),
+        ("× 257", &|a, b| 257.0 * a == b),
+        ("÷ 257", &|a, b| a == 257.0 * b),
+        ("rounded", &|a, b| (a - b).abs() <= 0.003),
+    ];
     let found = ways
         .iter()
         .find_map(|(how, same)| Some((*how, result.attributes.iter().find(|found| of(found, same))?)));
@@ -175,7 +182,7 @@ fn table(title: &str, sources: &[(&'static str, Format, Cloud)]) -> String {
     for (name, _) in targets() {
         write!(text, " {name} |").expect("text");
     }
-    text += "\n|---|---|---|---|---|---|---|\n";
+    text += "\n|---|---|---|---|---|---|---|---|\n";
     let of = |to: Format| -> Vec<(&str, Vec<String>)> {
         let others = sources.iter().filter(|(_, from, _)| from.kind() != to.kind());
         others.map(|(name, from, cloud)| (*name, fates(cloud, *from, to))).collect()
@@ -219,7 +226,7 @@ fn cell(row: usize, fates: &[(&str, Vec<String>)]) -> String {
 /// What becomes of what a file tells of the whole.
 fn whole() -> String {
     let mut text =
-        "| of the whole | PLY | LAS, LAZ | E57 | PCD | NumPy | text |\n|---|---|---|---|---|---|---|\n"
+        "| of the whole | PLY | LAS, LAZ | E57 | PCD | NumPy | COLMAP | text |\n|---|---|---|---|---|---|---|---|\n"
             .to_owned();
     let origin = Origin {
         crs: "EPSG:25832".parse().ok(),
@@ -251,7 +258,7 @@ fn whole() -> String {
 #[test]
 fn the_table_of_round_trips_is_true() {
     let free = |style| -> Vec<(&'static str, Format, Cloud)> {
-        let free = targets().into_iter().filter(|(name, _)| !matches!(*name, "LAS, LAZ" | "E57"));
+        let free = targets().into_iter().filter(|(name, _)| !matches!(*name, "LAS, LAZ" | "E57" | "COLMAP"));
         free.map(|(name, format)| (name, format, source(style, format))).collect()
     };
     let one = |name, format| vec![(name, format, source(Style::Ours, format))];
@@ -262,6 +269,7 @@ fn the_table_of_round_trips_is_true() {
         ("this program's names", free(Style::Ours)),
         ("from LAS, LAZ", one("LAS", LAS)),
         ("from E57", one("E57", Format::E57)),
+        ("from COLMAP", one("COLMAP", COLMAP)),
     ] {
         text += &table(title, &sources);
         text.push('\n');
@@ -286,6 +294,13 @@ fn the_table_of_round_trips_is_true() {
         "{} has another table; to renew it: DENSECLOUD_RENEW_DOCS=1 cargo test -p densecloud-formats conversions",
         page.display()
     );
+}
+
+#[test]
+fn records_of_colmap_keep_what_its_text_keeps() {
+    let cloud = source(Style::Pdal, ply(PlyEncoding::Ascii, Scalar::F64));
+    let read_as = |binary| read_content(&written(&cloud, Format::Colmap { binary })).expect("a cloud");
+    assert_eq!(read_as(true), read_as(false));
 }
 
 #[test]

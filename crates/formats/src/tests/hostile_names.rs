@@ -138,6 +138,26 @@ fn every_column_comes_back_under_a_name_that_was_told() {
 }
 
 #[test]
+fn where_columns_have_no_names_each_that_is_lost_is_told() {
+    let mut cloud = cloud();
+    // As comments they would end a line, or count other points.
+    cloud.origin.comments = hostile();
+    cloud.origin.comments.push("Number of points: 99, mean track length: 1".to_owned());
+    for binary in [false, true] {
+        let format = Format::Colmap { binary };
+        let bytes =
+            encode(Vec::new(), format, &cloud.positions, &cloud.attributes, &cloud.origin).expect("a file");
+        let back = read(&bytes).expect("a cloud");
+        assert_eq!(back.positions, cloud.positions, "{format}");
+        let names: Vec<&str> = back.attributes.iter().map(|a| a.name.as_str()).collect();
+        assert_eq!(names, ["point3d_id", "red", "green", "blue", "error"]);
+        // One red makes no colour.
+        assert_eq!(format.cannot_hold(&cloud.attributes, &cloud.origin), hostile());
+        assert!(format.renamed(&cloud.attributes, &cloud.origin).is_empty());
+    }
+}
+
+#[test]
 fn names_are_those_of_the_format() {
     let cloud = cloud();
     let text = |format| {

@@ -170,6 +170,7 @@ fn varies(role: Role) -> bool {
             | Role::Ambient
             | Role::Range
             | Role::Confidence
+            | Role::Error
             | Role::RotationW
             | Role::RotationX
             | Role::RotationY
