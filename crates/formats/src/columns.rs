@@ -1,5 +1,7 @@
 //! Columns whose type and meaning only their numbers tell.
 
+use std::str::FromStr;
+
 use super::text::parse_f64;
 use densecloud_cloud::{Kind, Values};
 
@@ -13,10 +15,18 @@ pub(super) enum TextColumn {
         lowest: i64,
         highest: i64,
     },
-    Real,
+    /// Whole numbers, none of them negative and one at least from 2^63 on.
+    Large,
+    Real {
+        /// Whether whole numbers among them may have lost digits.
+        rounded: bool,
+    },
     /// Something in it is no number.
     Text,
 }
+
+/// Floats hold all whole numbers up to this one.
+const EXACT: u64 = 1 << 53;
 
 impl TextColumn {
     pub(super) fn new() -> Self {
@@ -25,7 +35,11 @@ impl TextColumn {
 
     /// An empty column for the next numbers.
     pub(super) fn empty(&self) -> Values {
-        Values::new(if let Self::Whole { .. } = self { Kind::I64 } else { Kind::F64 })
+        Values::new(match self {
+            Self::Whole { .. } => Kind::I64,
+            Self::Large => Kind::U64,
+            Self::Real { .. } | Self::Text => Kind::F64,
+        })
     }
 
     /// Appends a field to the numbers so far; an empty one is a NaN.
@@ -44,24 +58,61 @@ impl TextColumn {
         field: &[u8],
         real: impl FnOnce(&[u8]) -> Option<f64>,
     ) {
-        if let (Self::Whole { lowest, highest }, Values::I64(whole)) = (&mut *self, &mut *numbers) {
-            if let Some(number) = std::str::from_utf8(field).ok().and_then(|f| f.parse::<i64>().ok()) {
-                (*lowest, *highest) = (number.min(*lowest), number.max(*highest));
-                whole.push(number);
-                return;
-            }
-            *numbers = Values::F64(whole.iter().map(|&n| n as f64).collect());
-            *self = Self::Real;
+        if self.push_whole(numbers, field) || self.widen(numbers, field) {
+            return;
         }
-        if let (Self::Real, Values::F64(reals)) = (&mut *self, &mut *numbers) {
+        if let (Self::Real { rounded }, Values::F64(reals)) = (&mut *self, &mut *numbers) {
             match real(field) {
-                Some(number) => reals.push(number),
+                Some(number) => {
+                    *rounded = *rounded || number.abs() >= EXACT as f64 && is_whole(field);
+                    reals.push(number);
+                }
                 None => {
                     *numbers = Values::new(Kind::F64);
                     *self = Self::Text;
                 }
             }
         }
+    }
+
+    /// Appends a whole number to such, if the field is one that they hold.
+    fn push_whole(&mut self, numbers: &mut Values, field: &[u8]) -> bool {
+        match (self, numbers) {
+            (Self::Whole { lowest, highest }, Values::I64(whole)) => {
+                let Some(number) = parsed::<i64>(field) else { return false };
+                (*lowest, *highest) = (number.min(*lowest), number.max(*highest));
+                whole.push(number);
+            }
+            (Self::Large, Values::U64(large)) => {
+                let Some(number) = parsed(field) else { return false };
+                large.push(number);
+            }
+            _ => return false,
+        }
+        true
+    }
+
+    /// Makes another column of whole numbers where this field is none that they hold; true where it holds it then.
+    fn widen(&mut self, numbers: &mut Values, field: &[u8]) -> bool {
+        let (is_large, rounded) = match *self {
+            Self::Whole { lowest, highest } => {
+                let most = lowest.unsigned_abs().max(highest.unsigned_abs());
+                (lowest >= 0 && parsed::<u64>(field).is_some(), lowest <= highest && most > EXACT)
+            }
+            Self::Large => (false, true),
+            Self::Real { .. } | Self::Text => return false,
+        };
+        match numbers {
+            Values::I64(whole) if is_large => {
+                *numbers = Values::U64(whole.iter().map(|&n| n as u64).collect());
+                *self = Self::Large;
+            }
+            _ => {
+                *numbers = Values::F64((0..numbers.len()).map(|i| numbers.get(i)).collect());
+                *self = Self::Real { rounded };
+            }
+        }
+        self.push_whole(numbers, field)
     }
 
     /// The smallest usual type that holds the numbers: bytes, 32-bit and 64-bit integers, doubles; none for text.
@@ -72,10 +123,21 @@ impl TextColumn {
                 Some(Kind::I32)
             }
             Self::Whole { .. } => Some(Kind::I64),
-            Self::Real => Some(Kind::F64),
+            Self::Large => Some(Kind::U64),
+            Self::Real { .. } => Some(Kind::F64),
             Self::Text => None,
         }
     }
+}
+
+fn parsed<T: FromStr>(field: &[u8]) -> Option<T> {
+    std::str::from_utf8(field).ok()?.parse().ok()
+}
+
+/// Whether a field is digits, with a sign or without.
+fn is_whole(field: &[u8]) -> bool {
+    let digits = field.strip_prefix(b"-").or(field.strip_prefix(b"+")).unwrap_or(field);
+    !digits.is_empty() && digits.iter().all(u8::is_ascii_digit)
 }
 
 /// Gathers what the numbers of columns without names tell of their meaning.

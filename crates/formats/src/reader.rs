@@ -54,8 +54,8 @@ pub struct Block {
     /// One entry a point, in the file's order and units; NaN and infinite coordinates as they are.
     pub positions: Vec<Position>,
     /// The other columns, one number a point each; [`Ending::columns`] says which attribute each is. All blocks have the
-    /// same columns. A text file declares no types: its columns hold 64-bit integers until a fraction is met, doubles
-    /// from that block on, and nothing from the block on in which a field is no number.
+    /// same columns. A text file declares no types: its columns hold 64-bit integers, without a sign from the first one
+    /// beyond 2^63 on, until a fraction is met, doubles from that block on, and nothing from the block on in which a field is no number.
     pub columns: Vec<Values>,
 }
 
@@ -84,16 +84,24 @@ pub struct ColumnName {
 impl Ending {
     /// Of columns of text by these names, which tell nothing of the whole.
     pub(crate) fn of_text<'a>(columns: impl Iterator<Item = (String, &'a TextColumn)>) -> Self {
-        let mut dropped_properties = Vec::new();
-        let columns = columns.map(|(name, column)| match column.kind() {
-            Some(kind) => Some(ColumnName { name, kind }),
-            None => {
-                dropped_properties.push(format!("{name} (text)"));
-                None
+        let (mut dropped_properties, mut notes) = (Vec::new(), Vec::new());
+        let columns = columns.map(|(name, column)| {
+            if *column == (TextColumn::Real { rounded: true }) {
+                notes.push(format!(
+                    "`{name}` has whole numbers beyond 2^53, and not all of it are 64-bit integers: it is read as floats, and \
+                     the last digits of these are rounded"
+                ));
+            }
+            match column.kind() {
+                Some(kind) => Some(ColumnName { name, kind }),
+                None => {
+                    dropped_properties.push(format!("{name} (text)"));
+                    None
+                }
             }
         });
         let columns = columns.collect();
-        Self { columns, dropped_properties, notes: Vec::new(), origin: Origin::default() }
+        Self { columns, dropped_properties, notes, origin: Origin::default() }
     }
 }
 

@@ -123,6 +123,71 @@ fn separators_of_thousands_are_refused_by_name() {
 }
 
 #[test]
+fn numbers_that_may_be_a_thousand_times_as_large_are_refused() {
+    let points = |rows: std::ops::Range<u32>| -> String {
+        let row = |i: u32| format!("{i};7;{}\n", i % 400);
+        rows.map(row).collect()
+    };
+    for (text, place) in [
+        (
+            "999 1 2\n1.000 3 4\n".to_owned(),
+            "line 2: column 1: `1.000` beside `999` in line 1: does its point",
+        ),
+        (
+            "1.000 1 2\n-999 3 4\n".to_owned(),
+            "line 1: column 1: `1.000` beside `-999` in line 2: does its point",
+        ),
+        ("x\ty\tz\n7\t8\t1,250\n7\t8\t3\n".to_owned(), "line 2: column 3 (z): `1,250` beside `3` in line 3"),
+        ("1,2.000,3\n4,5,6\n".to_owned(), "line 1: column 2: `2.000` beside `5` in line 2"),
+        ("x;y;z;n\n1500;2000;1700;12\n1500;2000;1700;1.012\n".to_owned(), "line 3: column 4 (n): `1.012`"),
+        // Long after the first thousand lines.
+        (
+            points(1..1000) + &points(1..1000) + "1.000;7;1.400\n",
+            "line 1999: column 1: `1.000` beside `1` in line 1",
+        ),
+    ] {
+        let why = refusal(&text);
+        assert!(why.starts_with(place) && why.contains("say --decimal "), "{why}");
+        assert!(why.contains("separators of thousands are not read"), "{why}");
+        let decimal = if place.contains(',') { "comma" } else { "point" };
+        let said = read_as(&text, &reading(&[("decimal", decimal)])).expect(&text);
+        assert!(said.notes.is_empty(), "{:?}", said.notes);
+    }
+    let quoted = refusal("x,y,z\n\"1,000\",\"2,000\",\"3,000\"\n5,6,7\n");
+    assert!(quoted.starts_with("line 2: column 1: `1,000` is no number"), "{quoted}");
+    let said = read_as("999 1 2\n1.000 3 4\n", &reading(&[("decimal", "comma")])).expect_err("a point");
+    assert!(said.to_string().contains("if points part thousands, write numbers without them"), "{said}");
+}
+
+#[test]
+fn ordinary_numbers_are_no_thousands() {
+    for text in [
+        "1 2.5 3\n4 5 6.125\n",
+        "1 2.125 3\n1500 5.125 6\n",
+        "999.000 1.000 2.000\n12.345 3.000 4.125\n",
+        "1.125 2.250 3.375 200\n4.125 5.250 6.375 7\n",
+        "999 1 0.5\n1.000 3 4\n",
+        "999 1 1000.125\n1.125 3 4\n",
+        "999 1 1.0625\n1.125 3 4\n",
+        // A column that has both is no thousands', and then no other is.
+        "1 2 3\n1500 2 3.125\n1.125 5 6\n",
+        "x;y;z\n3,129;4,824;21,042\n2,754;0,221;18\n",
+        "x y z what\n1.125 2.125 3.125 12.345\n1.125 2.125 3.125 wall\n1.125 2.125 3.125 7\n",
+    ] {
+        assert!(cloud(text).notes.is_empty(), "{text:?}");
+    }
+    // Nothing tells that these are no thousands but what points are like.
+    let commas = cloud("3,129;4,824;21,042\n2,754;5,221;18,959\n");
+    assert_eq!(commas.positions[0], [3.129, 4.824, 21.042]);
+    assert_eq!(
+        commas.notes,
+        [
+            "`3,129` (line 1, column 1) is read as 3.129, since commas seem to be decimal marks here; to say so: --decimal comma"
+        ]
+    );
+}
+
+#[test]
 fn what_was_decided_is_held_to() {
     let points = |row: &str| row.repeat(1500);
     for (first, last, part) in [

@@ -56,8 +56,60 @@ fn other_columns_are_attributes() {
         assert_eq!(column.values.get(0), first);
         assert!(column.values.get(2).is_nan());
     }
+    assert_eq!(
+        cloud.notes,
+        [
+            "`time` has whole numbers beyond 2^53, and not all of it are 64-bit integers: it is read as floats, and the last \
+          digits of these are rounded"
+        ]
+    );
     let whole = read(b"1 2 3 9007199254740993\n4 5 6 -1\n").expect("a cloud");
     assert_eq!(whole.attributes[0].values, Values::I64(vec![9_007_199_254_740_993, -1]));
+}
+
+#[test]
+fn whole_numbers_of_64_bits_are_kept_to_the_last_digit() {
+    let rows = |column: &[&str]| -> Cloud {
+        let text: String = column.iter().map(|field| format!("1;2;3;{field}\n")).collect();
+        read(("x;y;z;id\n".to_owned() + &text).as_bytes()).expect("a cloud")
+    };
+    let kept = |column: &[&str]| {
+        let cloud = rows(column);
+        assert!(cloud.notes.is_empty(), "{:?}", cloud.notes);
+        cloud.attributes[0].values.clone()
+    };
+    assert_eq!(kept(&["18446744073709551615", "0"]), Values::U64(vec![u64::MAX, 0]));
+    assert_eq!(kept(&["7", "9223372036854775808"]), Values::U64(vec![7, 1 << 63]));
+    assert_eq!(kept(&["9223372036854775807", "-3"]), Values::I64(vec![i64::MAX, -3]));
+    assert_eq!(kept(&["9007199254740992", "0.5"]), Values::F64(vec![9_007_199_254_740_992.0, 0.5]));
+    assert_eq!(kept(&["0.5", "1e300"]), Values::F64(vec![0.5, 1e300]));
+    for column in [
+        &["9223372036854775808", "-3"][..],
+        &["-3", "9223372036854775808"],
+        &["9007199254740993", ""],
+        &["", "9007199254740993"],
+        &["7", "18446744073709551616"],
+        &["18446744073709551615", "0.5"],
+        &["-9007199254740993", "0.5"],
+    ] {
+        let cloud = rows(column);
+        assert!(matches!(cloud.attributes[0].values, Values::F64(_)));
+        assert!(cloud.notes.len() == 1 && cloud.notes[0].starts_with("`id` has whole"), "{:?}", cloud.notes);
+    }
+    // In blocks, too, and back.
+    let text = b"1 2 3 7\n4 5 6 18446744073709551615\n7 8 9 8\n";
+    let mut reader = CloudReader::open(&text[..], Limits::default()).expect("a header");
+    let mut block = Block::default();
+    for expected in [Values::I64(vec![7]), Values::U64(vec![u64::MAX]), Values::U64(vec![8])] {
+        assert!(reader.next_block(1, &mut block).expect("a block"));
+        assert_eq!(block.columns, [expected]);
+    }
+    let ids = read(text).expect("a cloud");
+    for format in [Format::TEXT, ply(PlyEncoding::Ascii, Scalar::F32), Format::Las { compressed: false }] {
+        let bytes = encode(Vec::new(), format, &ids.positions, &ids.attributes, &ids.origin).expect("a file");
+        let back = read(&bytes).expect("a cloud");
+        assert_eq!(back.attributes.last().map(|a| &a.values), Some(&Values::U64(vec![7, u64::MAX, 8])));
+    }
 }
 
 #[test]

@@ -79,14 +79,8 @@ impl Dialect {
             (Some(Otherwise::Thousands), _) => {
                 format!("{found} has separators of thousands, which are not read; write numbers without them")
             }
-            (Some(Otherwise::Comma), Decimal::Point) => format!(
-                "{found} is no number with a decimal point, as this file has them; if its decimal mark is a comma, say \
-                 --decimal comma"
-            ),
-            (Some(Otherwise::Point), Decimal::Comma) => format!(
-                "{found} is no number with a decimal comma, as this file has them; if its decimal mark is a point, say \
-                 --decimal point"
-            ),
+            (Some(Otherwise::Comma), Decimal::Point) => otherwise_marked(field, ["point", "comma"], ','),
+            (Some(Otherwise::Point), Decimal::Comma) => otherwise_marked(field, ["comma", "point"], '.'),
             _ => format!("{found} is not a number"),
         }
     }
@@ -120,6 +114,21 @@ fn otherwise(field: &[u8]) -> Option<Otherwise> {
     }
     let marks = [',', '.', ' ', '\'', '\u{2019}', '\u{a0}', '\u{202f}', '_'];
     marks.into_iter().any(|mark| is_grouped(digits, mark)).then_some(Otherwise::Thousands)
+}
+
+/// Why a number with another mark than the file's is none, and what may be done.
+fn otherwise_marked(field: &[u8], [here, other]: [&str; 2], mark: char) -> String {
+    let digits = String::from_utf8_lossy(field);
+    let thousands = if is_grouped(digits.trim_start_matches(['-', '+']), mark) {
+        format!("; if {other}s part thousands, write numbers without them")
+    } else {
+        String::new()
+    };
+    format!(
+        "{} is no number with a decimal {here}, as this file has them; if its decimal mark is a {other}, say --decimal \
+         {other}{thousands}",
+        shown(field)
+    )
 }
 
 /// Whether the whole part of a number is groups of three digits with this mark between them.

@@ -4,6 +4,7 @@ use super::super::columns::MAX_COLUMNS;
 use super::super::reading::{AXES, DECIMAL, SEPARATOR};
 use super::super::text::shown;
 use super::super::{FormatError, Place, Reading};
+use super::cuts;
 use super::dialect::Dialect;
 use super::fit::{Fit, best};
 use super::heading::{Heading, Style};
@@ -55,10 +56,10 @@ impl Layout {
             }
             return Ok(None);
         };
-        without_blanks(&lines, &fit)?;
+        cuts::without_blanks(&lines, &fit)?;
         let mut layout = Head::of(&lines, fit)?.layout(reading)?;
         if layout.names.is_none() && separator.is_none() && reading.decimal.is_none() {
-            unambiguous(&lines, &layout)?;
+            cuts::unambiguous(&lines, &layout)?;
         }
         layout.notes.dedup();
         Ok(Some(layout))
@@ -348,7 +349,7 @@ impl<'a> Head<'a> {
             if heading.is_none() || is_comment(&line.bytes) || as_count(&line.bytes).is_some() {
                 continue;
             }
-            if seen.numbers > 0 {
+            if seen.numbers > 0 || self.is_foreign(at) {
                 return Err(self.broken(at));
             }
             self.notes.push(format!("line {} is not taken for a point: {}", line.number, shown(&line.bytes)));
@@ -362,6 +363,15 @@ impl<'a> Head<'a> {
             return Ok((axes, self.lines[from + 1].number));
         }
         Ok((axes, self.lines[from].number))
+    }
+
+    /// Whether a line has as many fields as points have, and numbers of other files among them.
+    fn is_foreign(&self, at: usize) -> bool {
+        let (line, dialect) = (self.lines[at], Dialect { quoted: true, ..self.fit.dialect });
+        let mut places = Vec::new();
+        self.fit.lines[at].fields == self.fit.width
+            && dialect.split(&line.bytes, &mut places).is_ok()
+            && places.iter().any(|place| dialect.is_foreign(&line.bytes[place.clone()]))
     }
 
     /// Whether a line is a point of which coordinates are not known: nothing stands there, or, under names, numbers in part.
@@ -425,102 +435,4 @@ pub(super) fn as_count(line: &[u8]) -> Option<u64> {
 pub(super) fn wrong_width(found: usize, width: usize, dialect: Dialect, whose: &str) -> String {
     let columns = if found == 1 { "1 column".to_owned() } else { format!("{found} columns") };
     format!("{columns} where {whose} have {width}, separated by {} ({SEPARATOR})", dialect.separator.shown())
-}
-
-/// Refuses blanks within numbers, between tabs: where white space separates, they would be columns.
-fn without_blanks(lines: &[&Line], fit: &Fit) -> Result<(), FormatError> {
-    let line = lines[fit.first];
-    if fit.dialect.separator != Separator::Space || !line.bytes.contains(&b'\t') {
-        return Ok(());
-    }
-    for (column, field) in line.bytes.split(|b| *b == b'\t').map(<[u8]>::trim_ascii).enumerate() {
-        if field.contains(&b' ') && fit.dialect.is_foreign(field) {
-            let why = format!("column {}: {}", column + 1, fit.dialect.no_number(field));
-            return Err(FormatError::malformed(Place::Line(line.number), why));
-        }
-    }
-    Ok(())
-}
-
-/// Refuses numbers without names that may have been cut at a comma, or a blank, of their own.
-fn unambiguous(lines: &[&Line], layout: &Layout) -> Result<(), FormatError> {
-    let dialect = layout.dialect;
-    if dialect.quoted || !matches!(dialect.separator, Separator::Comma | Separator::Space) {
-        return Ok(());
-    }
-    let mut pairs = Pairs::default();
-    let mut places = Vec::new();
-    for line in lines.iter().filter(|line| line.number >= layout.from && !is_comment(&line.bytes)) {
-        if dialect.split(&line.bytes, &mut places).is_err() || places.len() < layout.width {
-            continue;
-        }
-        let fields: Vec<&[u8]> =
-            places[..layout.width].iter().map(|place| &line.bytes[place.clone()]).collect();
-        if let Some(column) = padded(&fields, dialect.separator) {
-            let why = format!(
-                "column {}: {} begins with a zero, as the rest of a number does that was cut in two; are the marks before it \
-                 decimal marks or separators of thousands? Neither is read here; if each of them separates columns, say \
-                 {SEPARATOR} {}",
-                column + 1,
-                shown(fields[column]),
-                dialect.separator
-            );
-            return Err(FormatError::malformed(Place::Line(line.number), why));
-        }
-        pairs.see(&fields);
-    }
-    if dialect.separator == Separator::Comma && pairs.are_all() {
-        let why = format!(
-            "{} columns of whole numbers, each second of the same length: do commas stand for decimal marks? These are read \
-             where a semicolon, a tab or blanks separate; if each comma separates columns, say {SEPARATOR} comma",
-            layout.width
-        );
-        return Err(FormatError::malformed(Place::Line(layout.from), why));
-    }
-    Ok(())
-}
-
-fn is_whole(field: &[u8]) -> bool {
-    !field.is_empty() && field.iter().all(u8::is_ascii_digit)
-}
-
-/// The first field that looks like the end of the number before it: `042` after `21`.
-fn padded(fields: &[&[u8]], separator: Separator) -> Option<usize> {
-    (1..fields.len()).find(|i| {
-        let before = fields[i - 1].strip_prefix(b"-").unwrap_or(fields[i - 1]);
-        let field = fields[*i];
-        let whole = field.split(|b| *b == b'.').next().unwrap_or_default();
-        // Behind a decimal comma is any number of digits, between thousands there are three.
-        let cut = whole.len() == 3 || separator == Separator::Comma && whole.len() == field.len();
-        is_whole(before) && is_whole(whole) && whole.len() > 1 && whole[0] == b'0' && cut
-    })
-}
-
-/// Whether all fields are whole numbers in pairs, of which the second could be a fraction.
-#[derive(Debug, Default)]
-struct Pairs {
-    rows: usize,
-    /// Digits of each second field, if always the same.
-    digits: Option<usize>,
-    broken: bool,
-}
-
-impl Pairs {
-    fn see(&mut self, fields: &[&[u8]]) {
-        self.rows += 1;
-        let is_pair = |pair: &[&[u8]]| match pair {
-            [whole, fraction] => is_whole(whole.strip_prefix(b"-").unwrap_or(whole)) && is_whole(fraction),
-            _ => false,
-        };
-        let least = if fields.len() == 4 { 3 } else { 2 };
-        self.broken = self.broken || !fields.chunks(2).all(is_pair);
-        for fraction in fields.iter().skip(1).step_by(2) {
-            let digits = *self.digits.get_or_insert(fraction.len());
-            self.broken = self.broken || digits != fraction.len() || digits < least;
-        }
-    }
-
-    fn are_all(&self) -> bool {
-        self.rows > 0 && !self.broken
-    }
 }

@@ -1,5 +1,6 @@
 //! Text with a point a line.
 
+mod cuts;
 mod dialect;
 mod fit;
 mod heading;
@@ -8,6 +9,7 @@ mod marks;
 mod names;
 mod read;
 mod sample;
+mod thousands;
 
 use std::fmt;
 

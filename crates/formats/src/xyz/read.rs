@@ -9,9 +9,11 @@ use super::super::reading::AXES;
 use super::super::source::Source;
 use super::super::text::shown;
 use super::super::{Format, FormatError, Header, Limits, Place, Reading};
+use super::Decimal;
 use super::dialect::Dialect;
 use super::layout::{Layout, as_count, wrong_width};
 use super::sample::{Sample, is_blank, is_comment, without_end};
+use super::thousands::Thousands;
 use densecloud_cloud::{Extra, Kind, Values};
 
 /// The attribute that tells the clouds of a file apart, from 0.
@@ -37,6 +39,7 @@ pub(super) struct XyzPoints {
     /// What they may be called, where nothing names them.
     guess: Guess,
     clouds: Clouds,
+    thousands: Thousands,
     /// The places of a line's fields.
     fields: Vec<Range<usize>>,
 }
@@ -106,6 +109,7 @@ impl XyzPoints {
             others: Vec::new(),
             guess: Guess::default(),
             clouds: Clouds::default(),
+            thousands: Thousands::new(Decimal::Point, true, 0),
             fields: Vec::new(),
         };
         let Some(layout) = layout else {
@@ -126,6 +130,7 @@ impl XyzPoints {
         let others = (0..layout.width).filter(|i| !layout.axes.contains(i));
         points.others = others.map(|i| (i, TextColumn::new())).collect();
         let Dialect { separator, decimal, .. } = layout.dialect;
+        points.thousands = Thousands::new(decimal, reading.decimal.is_some(), layout.width);
         let header = Header {
             format: Format::Xyz { names: layout.names.is_some(), separator, decimal },
             points: claimed,
@@ -208,6 +213,9 @@ impl XyzPoints {
             *coordinate =
                 dialect.number(field).ok_or_else(|| wrong(no_coordinate(layout, dialect, column, field)))?;
         }
+        if !self.thousands.is_settled() {
+            self.see_thousands(layout, number, line);
+        }
         for ((column, other), numbers) in self.others.iter_mut().zip(&mut to.columns) {
             let field = &line[self.fields[*column].clone()];
             let was_text = *other == TextColumn::Text;
@@ -231,6 +239,26 @@ impl XyzPoints {
         }
     }
 
+    /// Takes note of all numbers of a line.
+    fn see_thousands(&mut self, layout: &Layout, number: u64, line: &[u8]) {
+        let texts =
+            self.others.iter().filter(|(_, other)| *other != TextColumn::Text).map(|(column, _)| *column);
+        for column in layout.axes.into_iter().chain(texts) {
+            self.thousands.see(column, number, &line[self.fields[column].clone()]);
+        }
+    }
+
+    /// Refuses numbers that may be a thousand times what they are read as; a note where only what is usual tells that
+    /// they are not.
+    fn without_thousands(&self, layout: &Layout) -> Result<Option<String>, FormatError> {
+        let Some(doubt) = self.thousands.doubt() else { return Ok(None) };
+        let (column, decimal) = (place(layout, doubt.column), layout.dialect.decimal);
+        match doubt.refused(&column, decimal) {
+            Some(why) => Err(FormatError::malformed(Place::Line(doubt.grouped.0), why)),
+            None => Ok(doubt.noted(&column, decimal)),
+        }
+    }
+
     /// Where a separator ends each line, nothing behind it is no field.
     fn drop_trailing(&mut self, layout: &Layout) {
         if layout.trailing
@@ -243,8 +271,13 @@ impl XyzPoints {
 }
 
 fn no_number(layout: &Layout, dialect: Dialect, column: usize, field: &[u8]) -> String {
+    format!("{}: {}", place(layout, column), dialect.no_number(field))
+}
+
+/// A column by its number and, if it has one, its name.
+fn place(layout: &Layout, column: usize) -> String {
     let named = layout.names.as_ref().map(|names| format!(" ({})", names[column])).unwrap_or_default();
-    format!("column {}{named}: {}", column + 1, dialect.no_number(field))
+    format!("column {}{named}", column + 1)
 }
 
 /// As [`no_number`], of a column that nothing but its place makes a coordinate.
@@ -287,6 +320,7 @@ impl Points for XyzPoints {
         self.clouds.end(self.count);
         let Some(layout) = self.layout.take() else { return Ok(Ending::of_text(std::iter::empty())) };
         let mut names: Vec<String> = self.others.iter().map(|(place, _)| name(&layout, *place)).collect();
+        let note = self.without_thousands(&layout)?;
         if self.is_guessed(&layout) {
             self.guess.name(&mut names, |column| self.others[column].1.kind() == Some(Kind::U8));
         }
@@ -299,7 +333,8 @@ impl Points for XyzPoints {
             let clouds = u32::from(self.clouds.number) + 1;
             self.clouds.notes.push(format!("the file has {clouds} clouds; `{SCAN}` numbers them from 0"));
         }
-        ending.notes = layout.notes;
+        let rounded = std::mem::replace(&mut ending.notes, layout.notes);
+        ending.notes.extend(rounded.into_iter().chain(note));
         ending.notes.append(&mut self.clouds.notes);
         ending.origin.extra = layout.style.map(Extra::new);
         Ok(ending)
