@@ -79,6 +79,7 @@ const FAMILIES: &[&[Family]] = &[
         ]),
         family([&["cartesianx"], &["cartesiany"], &["cartesianz"]]),
         family([&["px"], &["py"], &["pz"]]),
+        family([&["pointx"], &["pointy"], &["pointz"]]),
         family([&["xecef", "ecefx"], &["yecef", "ecefy"], &["zecef", "ecefz"]]),
         family([&["xutm", "utmx"], &["yutm", "utmy"], &["zutm", "utmz", "z"]]),
     ],
@@ -99,33 +100,56 @@ const FAMILIES: &[&[Family]] = &[
 
 /// Finds the three columns that are the coordinates, by their names, in any case and any order. They are of one family:
 /// `x, y, z`, `Points:0, Points:1, Points:2`, `x_coord` and so on, easting, northing and a height, longitude, latitude and a
-/// height; `x` and `northing` are none. None where no family is whole.
+/// height; `x` and `northing` are none. None where no family is whole. Names without what programs put before them
+/// (`field_x`) count only where no other names are a family; in a unit of time, or of an angle but for longitude and latitude, none does.
 ///
 /// # Errors
 /// [`AmbiguousAxes`] where two columns are the same coordinate (`x` and `X`), or two families are whole that are as good.
 pub fn axes_of<S: AsRef<str>>(names: &[S]) -> Result<Option<Axes>, AmbiguousAxes> {
     let keys: Vec<Name> = names.iter().map(|name| Name::of(name.as_ref())).collect();
-    let places = |known: &[&str]| -> Vec<usize> {
-        (0..keys.len()).filter(|i| known.iter().any(|key| keys[*i].is(key))).collect()
-    };
-    for rank in FAMILIES {
-        let whole = rank.iter().map(|family| (family, family.axes.map(places)));
-        let whole: Vec<_> = whole.filter(|(_, found)| found.iter().all(|axis| !axis.is_empty())).collect();
-        let Some((family, _)) = whole.first() else { continue };
-        let mut columns = [0; 3];
-        for (a, axis) in ['x', 'y', 'z'].into_iter().enumerate() {
-            let mut all: Vec<usize> = whole.iter().flat_map(|(_, found)| found[a].iter().copied()).collect();
-            all.sort_unstable();
-            all.dedup();
-            if all.len() > 1 {
-                let names = all.iter().map(|i| names[*i].as_ref().to_owned()).collect();
-                return Err(AmbiguousAxes { axis, names });
+    for shortened in [false, true] {
+        for rank in FAMILIES {
+            if let Some((axes, geographic)) = rank_of(rank, &keys, shortened) {
+                let columns = one_of_each(&axes, names)?;
+                return Ok(Some(Axes { columns, geographic }));
             }
-            columns[a] = all[0];
         }
-        return Ok(Some(Axes { columns, geographic: family.geographic }));
     }
     Ok(None)
+}
+
+/// The columns that may be x, y and z by the whole families of a rank, if there is one; and whether the first is geographic.
+fn rank_of(rank: &[Family], keys: &[Name], shortened: bool) -> Option<([Vec<usize>; 3], bool)> {
+    let places = |family: &Family| {
+        family.axes.map(|known| -> Vec<usize> {
+            let is_axis =
+                |i: &usize| known.iter().any(|key| keys[*i].is_axis(key, family.geographic, shortened));
+            (0..keys.len()).filter(is_axis).collect()
+        })
+    };
+    let found = rank.iter().map(|family| (family, places(family)));
+    let whole: Vec<_> = found.filter(|(_, axes)| axes.iter().all(|axis| !axis.is_empty())).collect();
+    let geographic = whole.first()?.0.geographic;
+    let axes = [0, 1, 2].map(|axis| {
+        let mut all: Vec<usize> = whole.iter().flat_map(|(_, axes)| axes[axis].iter().copied()).collect();
+        all.sort_unstable();
+        all.dedup();
+        all
+    });
+    Some((axes, geographic))
+}
+
+/// The one column of each axis.
+fn one_of_each<S: AsRef<str>>(axes: &[Vec<usize>; 3], names: &[S]) -> Result<[usize; 3], AmbiguousAxes> {
+    let mut columns = [0; 3];
+    for ((axis, all), column) in ['x', 'y', 'z'].into_iter().zip(axes).zip(&mut columns) {
+        if all.len() > 1 {
+            let names = all.iter().map(|i| names[*i].as_ref().to_owned()).collect();
+            return Err(AmbiguousAxes { axis, names });
+        }
+        *column = all[0];
+    }
+    Ok(columns)
 }
 
 #[cfg(test)]
@@ -178,6 +202,15 @@ mod tests {
             ("x,y,z,Coord. X,Coord. Y,Coord. Z", [0, 1, 2]),
             ("vertex.x,vertex.y,vertex.z", [0, 1, 2]),
             ("e,n,nx,ny,nz,z", [0, 1, 5]),
+            ("easting,northing,elevation,field_x,field_y,field_z", [0, 1, 2]),
+            ("field_x,field_y,field_z,x,y,z", [3, 4, 5]),
+            ("lat,lon,alt,scalar_X,scalar_Y,scalar_Z", [1, 0, 2]),
+            ("POINT_X,POINT_Y,POINT_Z,longitude,latitude,elevation", [0, 1, 2]),
+            ("x_deg,y_deg,z_deg,E,N,H", [3, 4, 5]),
+            ("x [rad],y [rad],z [rad],x_coord,y_coord,z_coord", [3, 4, 5]),
+            ("lat_deg,lon_deg,height_m", [1, 0, 2]),
+            ("Latitude [deg],Longitude [deg],Height [m]", [1, 0, 2]),
+            ("scalar_X,scalar_Y,scalar_Z", [0, 1, 2]),
         ] {
             assert_eq!(columns(header), Ok(Some(wanted)), "{header}");
         }
@@ -195,6 +228,8 @@ mod tests {
             "nx,ny,nz",
             "lon,northing,z",
             "x,y,depth",
+            "x_deg,y_deg,z_deg",
+            "x_s,y_s,z_s",
         ] {
             assert_eq!(columns(header), Ok(None), "{header}");
         }
