@@ -13,7 +13,7 @@ pub use attribute::{Attribute, Kind, Values, bytes_a_point};
 pub use axes::{AmbiguousAxes, Axes, axes_of};
 pub use extra::{Extra, FormatExtra};
 pub use frame::{Frame, FrameError};
-pub use origin::{Column, Crs, Origin, Sensors, Table};
+pub use origin::{Column, Crs, Named, Origin, Sensors, Table};
 pub use role::{Role, column_of, roles_of};
 
 /// A position in the local [`Frame`]: `f32`, within about [-1, 1] on each axis.

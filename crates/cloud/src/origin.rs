@@ -20,9 +20,8 @@ pub struct Origin {
     pub sensors: Option<Arc<Sensors>>,
     /// How the sensor was turned there: a quaternion, the real part first.
     pub orientation: Option<[f64; 4]>,
-    /// The kind of format whose file gave the attributes their names, such as `ply`. There they are told apart by the
-    /// letter; in another, by what they mean.
-    pub named_in: Option<&'static str>,
+    /// The file that gave attributes their names.
+    pub named_in: Option<Named>,
     /// SHA-256 over all bytes of the file.
     pub sha256: Option<[u8; 32]>,
     /// PLY's elements other than `vertex`, in the file's order.
@@ -31,7 +30,23 @@ pub struct Origin {
     pub extra: Option<Extra>,
 }
 
+/// Which attributes have their names from a file, and of what kind. In another file of that kind they are told apart by
+/// the letter, where others go by what they mean.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Named {
+    /// The kind of its format, such as `ply`.
+    pub kind: &'static str,
+    /// The names that it gave.
+    pub names: Arc<[String]>,
+}
+
 impl Origin {
+    /// Whether the attributes' names are those of a file of this kind.
+    #[must_use]
+    pub fn is_named_in(&self, kind: &str) -> bool {
+        self.named_in.as_ref().is_some_and(|named| named.kind == kind)
+    }
+
     /// Adds a comment of any text: its lines that hold anything, without control characters.
     pub fn comment(&mut self, text: &str) {
         for line in text.lines() {

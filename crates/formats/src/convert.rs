@@ -1,7 +1,8 @@
 //! From one format to another: numbers in the types that the other has for what they mean.
 
 use super::Format;
-use densecloud_cloud::{Attribute, Kind, Role, Values, roles_of};
+use super::names::Meanings;
+use densecloud_cloud::{Attribute, Kind, Role, Values};
 
 /// The parts of a colour; the first three make one.
 const COLOUR: [Role; 4] = [Role::Red, Role::Green, Role::Blue, Role::Alpha];
@@ -30,25 +31,26 @@ impl Format {
             return None;
         }
         let whole = to.ask(|format| format.whole_numbers());
-        let names: Vec<&str> = attributes.iter().map(|attribute| attribute.name.as_str()).collect();
-        let roles = roles_of(&names);
-        let place = |role: &Role| roles.iter().position(|known| known.as_ref() == Some(role));
-        let places: Vec<usize> =
-            COLOUR.iter().filter(|role| whole.contains(role)).filter_map(place).collect();
-        let mut told = None;
-        if COLOUR[..3].iter().all(|role| whole.contains(role) && place(role).is_some()) {
-            told = adapt_colour(attributes, &places);
-        }
-        for (attribute, role) in attributes.iter_mut().zip(&roles) {
-            let is_whole = role.is_some_and(|role| whole.contains(&role) && !COLOUR.contains(&role));
-            if is_whole
-                && is_wide(attribute.values.kind())
-                && let Some(kind) = smallest(&[&attribute.values])
+        let (colour, others) = {
+            let meanings = Meanings::of(attributes);
+            // The places of whole numbers have this program's names in all formats.
+            let place = |role: &&Role| meanings.fills(**role, role.name());
+            let is_colour = |role: &&Role| COLOUR.contains(role);
+            let is_whole = COLOUR[..3].iter().all(|role| whole.contains(role) && place(&role).is_some());
+            let colour: Vec<usize> = whole.iter().filter(is_colour).filter_map(|role| place(&role)).collect();
+            let others: Vec<usize> =
+                whole.iter().filter(|role| !is_colour(role)).filter_map(|role| place(&role)).collect();
+            (if is_whole { colour } else { Vec::new() }, others)
+        };
+        for place in others {
+            let values = &mut attributes[place].values;
+            if is_wide(values.kind())
+                && let Some(kind) = smallest(&[&*values])
             {
-                convert(&mut attribute.values, kind, 1.0);
+                convert(values, kind, 1.0);
             }
         }
-        told
+        adapt_colour(attributes, &colour)
     }
 }
 
@@ -56,6 +58,7 @@ impl Format {
 fn adapt_colour(attributes: &mut [Attribute], places: &[usize]) -> Option<String> {
     let parts: Vec<&Values> = places.iter().map(|place| &attributes[*place].values).collect();
     let kinds: Vec<Kind> = parts.iter().map(|part| part.kind()).collect();
+    // All of none, too.
     if kinds.iter().all(|kind| *kind == kinds[0] && !is_wide(*kind)) {
         return None;
     }

@@ -155,6 +155,9 @@ impl Format {
             if !format.holds_sensor() && (origin.sensor.is_some() || origin.sensors.is_some()) {
                 lost.push("the sensor's place".to_owned());
             }
+            if !format.holds_orientation() && origin.orientation.is_some() {
+                lost.push("how the sensor was turned".to_owned());
+            }
             if !format.holds_tables() {
                 lost.extend(origin.tables.iter().map(|table| table.name.clone()));
             }

@@ -112,6 +112,11 @@ pub(crate) trait Choices: fmt::Display {
         false
     }
 
+    /// Whether it has a place for how the sensor was turned.
+    fn holds_orientation(&self) -> bool {
+        false
+    }
+
     /// Whether it has a place for tables beside the points.
     fn holds_tables(&self) -> bool {
         false

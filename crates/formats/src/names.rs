@@ -30,18 +30,18 @@ impl NameRule<'_> {
 
     /// As [`apply`](Self::apply) for some of a cloud's attributes, by their numbers, counted from 0.
     pub(crate) fn apply_to(self, names: &[(usize, &str)]) -> Vec<String> {
-        let mut used: HashSet<String> = AXES.map(str::to_owned).into();
+        let mut apart = Apart::default();
+        AXES.into_iter().for_each(|axis| _ = apart.keep(axis));
         let mut written = vec![String::new(); names.len()];
         // First those that can stay, so that no other takes their names.
         for ((number, name), written) in names.iter().zip(&mut written) {
             let stays = self.valid(name, *number) == *name && !(self.is_taken)(name);
-            if stays && used.insert((*name).to_owned()) {
+            if stays && apart.keep(name) {
                 (*name).clone_into(written);
             }
         }
         for ((number, name), written) in names.iter().zip(&mut written).filter(|(_, name)| name.is_empty()) {
-            *written = self.free(&self.valid(name, *number), &used);
-            used.insert(written.clone());
+            *written = apart.free(&self.valid(name, *number), self.most, self.is_taken);
         }
         written
     }
@@ -58,36 +58,51 @@ impl NameRule<'_> {
         let space = if (self.allows)(' ') { ' ' } else { '_' };
         format!("column{space}{}", AXES.len() + number + 1)
     }
-
-    /// The name, with an end where something else has it.
-    fn free(self, name: &str, used: &HashSet<String>) -> String {
-        let mut names =
-            (0..).map(end).map(|end| cut(name.to_owned(), self.most.saturating_sub(end.len())) + &end);
-        // There are more numbers than columns.
-        names.find(|name| !used.contains(name) && !(self.is_taken)(name)).unwrap_or_default()
-    }
 }
 
-/// Tells columns of one name apart as they are read.
+/// Gives names, each another.
 #[derive(Default)]
 pub(crate) struct Apart {
-    /// Names that are given, and how many ends of each were tried.
-    given: HashMap<String, usize>,
+    given: HashSet<String>,
+    /// Of names that several want, how many ends of each were tried.
+    tried: HashMap<String, usize>,
 }
 
 impl Apart {
-    /// The name, or, where an earlier column has it, the name with `_`, `_2`, `_3` or whatever is free behind it.
-    pub(crate) fn name(&mut self, wanted: &str) -> String {
-        let mut number = self.given.get(wanted).copied().unwrap_or(0);
-        let mut name = wanted.to_owned() + &end(number);
-        while self.given.contains_key(&name) {
+    /// The names; of those that are the same, the later ones with an end that no other has.
+    pub(crate) fn all<S: AsRef<str>>(names: &[S]) -> Vec<String> {
+        let mut apart = Self::default();
+        let is_first: Vec<bool> = names.iter().map(|name| apart.keep(name.as_ref())).collect();
+        let names = names.iter().map(AsRef::as_ref).zip(is_first);
+        let name =
+            |(name, is_first): (&str, bool)| if is_first { name.to_owned() } else { apart.another(name) };
+        names.map(name).collect()
+    }
+
+    /// Gives the name, if nothing has it.
+    pub(crate) fn keep(&mut self, name: &str) -> bool {
+        self.given.insert(name.to_owned())
+    }
+
+    /// The name, or, where another has it, the name with `_`, `_2`, `_3` or whatever is free behind it.
+    pub(crate) fn another(&mut self, wanted: &str) -> String {
+        self.free(wanted, usize::MAX, &|_| false)
+    }
+
+    /// As [`another`](Self::another), of `most` bytes and none that `is_taken`.
+    fn free(&mut self, wanted: &str, most: usize, is_taken: &dyn Fn(&str) -> bool) -> String {
+        let named = |number: usize| {
+            let end = end(number);
+            cut(wanted.to_owned(), most.saturating_sub(end.len())) + &end
+        };
+        let mut number = self.tried.get(wanted).copied().unwrap_or(0);
+        while self.given.contains(&named(number)) || is_taken(&named(number)) {
             number += 1;
-            name = wanted.to_owned() + &end(number);
         }
         // So that a thousand of one name are no million tries.
-        self.given.insert(wanted.to_owned(), number + 1);
-        self.given.entry(name.clone()).or_insert(1);
-        name
+        self.tried.insert(wanted.to_owned(), number + 1);
+        self.given.insert(named(number));
+        named(number)
     }
 }
 
@@ -108,35 +123,76 @@ pub(crate) fn cut(mut text: String, most: usize) -> String {
     text
 }
 
-/// The name that a format has for what each attribute means, where it has one: the attribute of that very name goes
-/// there, else that of this program's name for it, else the first that means it. Parts of a colour and of a normal only go there together. Names from a file of
-/// the same `kind` mean what they say, and nothing else.
+/// What the columns of a cloud mean, to be asked which of them fills a place of a format.
+pub(crate) struct Meanings<'a> {
+    names: Vec<&'a str>,
+    /// None where a name means what it says, and nothing else.
+    roles: Vec<Option<Role>>,
+}
+
+impl<'a> Meanings<'a> {
+    /// By the columns' names.
+    pub(crate) fn of(attributes: &'a [Attribute]) -> Self {
+        let names: Vec<&str> = attributes.iter().map(|attribute| attribute.name.as_str()).collect();
+        Self { roles: roles_of(&names), names }
+    }
+
+    /// As [`of`](Self::of), for a file of this kind: names that are from one mean nothing but what they say.
+    pub(crate) fn in_kind(attributes: &'a [Attribute], origin: &Origin, kind: &str) -> Self {
+        let own: HashSet<&str> = match &origin.named_in {
+            Some(named) if named.kind == kind => named.names.iter().map(String::as_str).collect(),
+            _ => HashSet::new(),
+        };
+        Self::of(attributes).but_for(|name, _| own.contains(name))
+    }
+
+    /// Without the meanings of columns that a format would not call so.
+    pub(crate) fn but_for(mut self, is_none: impl Fn(&str, Role) -> bool) -> Self {
+        for (name, role) in self.names.iter().zip(&mut self.roles) {
+            *role = role.filter(|role| !is_none(name, *role));
+        }
+        self
+    }
+
+    /// The column for what a format calls `own` and that has this role: the one of that very name, else that of this
+    /// program's name for it, else the first that means it.
+    pub(crate) fn fills(&self, role: Role, own: &str) -> Option<usize> {
+        let meaning = || (0..self.names.len()).filter(|i| self.roles[*i] == Some(role));
+        let usual = || meaning().find(|i| self.names[*i] == role.name());
+        self.called(own).or_else(usual).or_else(|| meaning().next())
+    }
+
+    fn called(&self, name: &str) -> Option<usize> {
+        self.names.iter().position(|own| *own == name)
+    }
+
+    /// The name that a format has for what each column means, where it has one, by the columns that [fill](Self::fills)
+    /// its places. Parts of a colour and of a normal only go there together.
+    pub(crate) fn own_names(&self, own: &[(Role, &'static str)]) -> Vec<Option<&'static str>> {
+        let has = |role: &Role| own.iter().any(|own| own.0 == *role && self.fills(own.0, own.1).is_some());
+        let is_whole = |role: &Role| {
+            let group = WHOLES.iter().find(|group| group.contains(role));
+            group.is_none_or(|group| group[..3].iter().all(has))
+        };
+        let mut found = vec![None; self.names.len()];
+        for (role, name) in own {
+            let place = if is_whole(role) { self.fills(*role, name) } else { self.called(name) };
+            if let Some(place) = place.filter(|place| found[*place].is_none()) {
+                found[place] = Some(*name);
+            }
+        }
+        found
+    }
+}
+
+/// The names that a format of this kind has for what attributes mean, as [`Meanings::own_names`].
 pub(crate) fn own_names(
     attributes: &[Attribute],
     origin: &Origin,
     kind: &str,
     own: &[(Role, &'static str)],
 ) -> Vec<Option<&'static str>> {
-    let names: Vec<&str> = attributes.iter().map(|attribute| attribute.name.as_str()).collect();
-    let roles = if origin.named_in == Some(kind) { vec![None; names.len()] } else { roles_of(&names) };
-    let called = |wanted: &str| names.iter().position(|name| *name == wanted);
-    let meant = |(role, own): &(Role, &str)| {
-        let exact = called(own).or_else(|| called(role.name()));
-        exact.or_else(|| roles.iter().position(|known| known.as_ref() == Some(role)))
-    };
-    let has = |role: &Role| own.iter().any(|own| own.0 == *role && meant(own).is_some());
-    let is_whole = |role: &Role| {
-        let group = WHOLES.iter().find(|group| group.contains(role));
-        group.is_none_or(|group| group[..3].iter().all(has))
-    };
-    let mut found = vec![None; names.len()];
-    for own in own {
-        let place = if is_whole(&own.0) { meant(own) } else { called(own.1) };
-        if let Some(place) = place.filter(|place| found[*place].is_none()) {
-            found[place] = Some(own.1);
-        }
-    }
-    found
+    Meanings::in_kind(attributes, origin, kind).own_names(own)
 }
 
 /// What means something only together: the first three.
@@ -186,12 +242,11 @@ mod tests {
 
     #[test]
     fn columns_of_one_name_are_told_apart() {
-        let mut apart = Apart::default();
-        let names = ["a", "a_2", "a", "a", "a_", "a"].map(|name| apart.name(name));
-        assert_eq!(names, ["a", "a_2", "a_", "a_3", "a__", "a_4"]);
+        assert_eq!(Apart::all(&["a", "a_2", "a", "a", "a_", "a"]), ["a", "a_2", "a_3", "a_4", "a_", "a_5"]);
         // As many as a header of a hostile file has.
-        let many: HashSet<String> = (0..200_000).map(|_| apart.name("b")).collect();
-        assert_eq!(many.len(), 200_000);
+        let many = vec!["b"; 200_000];
+        assert_eq!(Apart::all(&many).into_iter().collect::<HashSet<_>>().len(), 200_000);
+        assert_eq!(RULE.apply(&many).into_iter().collect::<HashSet<_>>().len(), 200_000);
     }
 
     #[test]
@@ -202,10 +257,13 @@ mod tests {
             (Role::Blue, "blue"),
             (Role::Intensity, "intensity"),
         ];
-        let of = |names: &[&str], named_in| {
+        let of = |names: &[&str], named_in: Option<&'static str>| {
             let values = densecloud_cloud::Values::U8(Vec::new());
             let attributes: Vec<Attribute> =
                 names.iter().map(|name| Attribute { name: (*name).into(), values: values.clone() }).collect();
+            let names =
+                names.iter().map(|name| (*name).to_owned()).filter(|name| name != "intensity").collect();
+            let named_in = named_in.map(|kind| densecloud_cloud::Named { kind, names });
             own_names(&attributes, &Origin { named_in, ..Origin::default() }, "ply", &own)
         };
         let colour = [Some("red"), Some("green"), Some("blue")];

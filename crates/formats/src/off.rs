@@ -83,15 +83,19 @@ pub(super) fn is_keyword(token: &[u8]) -> bool {
 /// What stands before the vertices.
 #[derive(Debug)]
 struct OffHeader {
+    keyword: String,
     vertices: u32,
     faces: u32,
     /// What each vertex has behind its coordinates.
     normals: bool,
     colours: bool,
+    textures: bool,
     /// Vertices given as points.
     given: u32,
     /// What they have behind their coordinates, by [`names`](Self::names).
     columns: Vec<TextColumn>,
+    /// How many of them have more numbers than the keyword says.
+    surplus: u32,
 }
 
 impl OffHeader {
@@ -115,11 +119,13 @@ impl OffHeader {
         let mut rest = source.bytes(line);
         let vertices = whole(source, &mut rest, "the number of vertices")?;
         let faces = whole(source, &mut rest, "the number of faces")?;
-        let before = keyword.strip_suffix(b"OFF").unwrap_or_default();
-        let before = before.strip_prefix(b"ST").unwrap_or(before);
-        let (normals, colours) = (before.contains(&b'N'), before.contains(&b'C'));
+        let keyword = String::from_utf8_lossy(&keyword).into_owned();
+        let before = keyword.strip_suffix("OFF").unwrap_or_default();
+        let textures = before.starts_with("ST");
+        let before = before.strip_prefix("ST").unwrap_or(before);
+        let (normals, colours) = (before.contains('N'), before.contains('C'));
         let columns = vec![TextColumn::new(); 3 * (usize::from(normals) + usize::from(colours))];
-        Ok(Self { vertices, faces, normals, colours, given: 0, columns })
+        Ok(Self { keyword, vertices, faces, normals, colours, textures, given: 0, columns, surplus: 0 })
     }
 
     /// Reads the next vertex: its position, and the rest of its line.
@@ -148,7 +154,9 @@ impl OffHeader {
             return Err(FormatError::TooManyPoints { points, limit });
         }
         let attributes = off.names().iter().map(|name| (*name).to_owned()).collect();
-        let dropped_properties = if off.faces > 0 { vec!["face".to_owned()] } else { Vec::new() };
+        let dropped = [(off.faces > 0, "face"), (off.textures, "texture coordinates")];
+        let dropped = dropped.into_iter().filter(|(is_there, _)| *is_there);
+        let dropped_properties = dropped.map(|(_, name)| name.to_owned()).collect();
         let header = Header { format: Format::Off, points: Some(points), attributes, dropped_properties };
         Ok((off, header))
     }
@@ -178,6 +186,9 @@ impl Points for OffHeader {
             for (column, numbers) in self.columns.iter_mut().zip(&mut to.columns) {
                 column.push(numbers, next_token(&mut rest).unwrap_or_default());
             }
+            let told = if self.textures { 2 } else { 0 };
+            let more = std::iter::from_fn(|| next_token(&mut rest)).nth(told).is_some();
+            self.surplus += u32::from(more);
             self.given += 1;
         }
         Ok(())
@@ -187,7 +198,14 @@ impl Points for OffHeader {
         for i in 0..self.faces {
             need_line(source, &format!("face {i} of {}", self.faces))?;
         }
-        Ok(Ending::of_text(self.names().into_iter().map(str::to_owned).zip(&self.columns)))
+        let mut ending = Ending::of_text(self.names().into_iter().map(str::to_owned).zip(&self.columns));
+        if self.surplus > 0 {
+            let (count, keyword) = (self.surplus, &self.keyword);
+            ending
+                .dropped_properties
+                .push(format!("numbers behind {count} vertices that `{keyword}` does not tell of"));
+        }
+        Ok(ending)
     }
 }
 

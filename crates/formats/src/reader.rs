@@ -12,7 +12,7 @@ use super::registry::{self, Found};
 use super::source::{Input, Source};
 use super::text::shown;
 use super::{Format, FormatError, Header, Limits, Reading};
-use densecloud_cloud::{Attribute, Cloud, Kind, Origin, Position, Values};
+use densecloud_cloud::{Attribute, Cloud, Kind, Named, Origin, Position, Values};
 
 /// Points that are read at a time where nobody says how many.
 const BLOCK: usize = 1 << 16;
@@ -215,7 +215,8 @@ impl<'r> CloudReader<'r> {
                 .push(format!("{options}: for text; this is {}, and tells its own", self.header.format));
         }
         shorten(&mut ending.notes);
-        ending.origin.named_in = Some(self.header.format.kind());
+        let names = ending.columns.iter().flatten().map(|column| column.name.clone()).collect();
+        ending.origin.named_in = Some(Named { kind: self.header.format.kind(), names });
         ending.origin.sha256 = Some(self.source.sha256()?);
         Ok(ending)
     }

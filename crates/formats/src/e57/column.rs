@@ -92,7 +92,7 @@ impl Column {
 
     /// Appends a number, which is `wide` as a double, and `shift` too low.
     pub(super) fn push(&mut self, value: &RecordValue, wide: f64, shift: i64) {
-        let wide = wide + shift as f64;
+        let shifted = wide + shift as f64;
         match (&mut self.numbers, value) {
             (Numbers::Whole(numbers), RecordValue::Integer(value)) => {
                 let value = value.saturating_add(shift);
@@ -101,12 +101,21 @@ impl Column {
                 self.highest = self.highest.max(value);
             }
             (Numbers::Single(numbers), RecordValue::Single(value)) => numbers.push(*value),
-            (Numbers::Double(numbers), _) => numbers.push(wide),
+            (Numbers::Double(numbers), _) => numbers.push(shifted),
             _ => {
-                let numbers = (0..self.len()).map(|i| self.get(i)).chain([wide]).collect();
-                self.numbers = Numbers::Double(numbers);
+                self.numbers = Numbers::Double(self.widened());
+                self.push(value, wide, shift);
             }
         }
+    }
+
+    /// The numbers as doubles, NaN where there are none.
+    fn widened(&self) -> Vec<f64> {
+        let mut numbers: Vec<f64> = (0..self.len()).map(|i| self.get(i)).collect();
+        for range in &self.absent {
+            numbers[range.clone()].fill(f64::NAN);
+        }
+        numbers
     }
 
     pub(super) fn get(&self, i: usize) -> f64 {

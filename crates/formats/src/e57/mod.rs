@@ -54,6 +54,9 @@ impl Choices for E57 {
 
     fn not_held(&self, attributes: &[Attribute], origin: &Origin) -> Vec<String> {
         let mut lost = write::not_held(attributes);
+        if write::loses_sensors(attributes, origin) {
+            lost.push("the sensors' places".to_owned());
+        }
         lost.extend(origin.extra.iter().flat_map(|extra| extra.lost_elsewhere()));
         lost
     }

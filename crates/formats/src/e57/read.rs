@@ -1,5 +1,6 @@
 //! Scans to one cloud.
 
+use std::collections::HashSet;
 use std::io::{self, Seek};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
@@ -7,6 +8,7 @@ use std::sync::Arc;
 use ::e57::{E57Reader, PointCloud, Record, RecordDataType, RecordName, Transform};
 
 use super::super::columns::MAX_COLUMNS;
+use super::super::names::Apart;
 use super::super::reader::{Block, ColumnName, Ending, Points};
 use super::super::source::Source;
 use super::super::spool::Spool;
@@ -86,15 +88,17 @@ fn decode(mut file: Spool, end: Place, limits: Limits) -> Result<Cloud, FormatEr
     for scan in &scans {
         check_packets(&mut file, scan)?.map_err(|why| FormatError::malformed(end, why))?;
     }
+    let layouts: Result<Vec<Layout>, String> = scans.iter().map(Layout::of).collect();
+    let layouts = layouts.map_err(|why| FormatError::malformed(end, why))?;
+    check_columns(&scans, &layouts, file.len()).map_err(|why| FormatError::malformed(end, why))?;
     file.rewind()?;
     let mut reader = E57Reader::new(file).map_err(bad)?;
     let mut cloud = Cloud::default();
     let mut columns: Vec<Column> = Vec::new();
     let mut invalid = 0_u64;
     let mut scan_numbers = Vec::new();
-    for (scan_number, scan) in (0..).zip(&scans) {
+    for ((scan_number, scan), layout) in (0..).zip(&scans).zip(&layouts) {
         let from = cloud.positions.len();
-        let layout = Layout::of(scan).map_err(|why| FormatError::malformed(end, why))?;
         let mut places = Vec::new();
         for (record, name) in &layout.columns {
             let Record { name: standard, data_type } = &scan.prototype[*record];
@@ -142,7 +146,9 @@ fn decode(mut file: Spool, end: Place, limits: Limits) -> Result<Cloud, FormatEr
     let text = reader.coordinate_metadata().map(str::trim).filter(|text| !text.is_empty());
     // Parsing cannot fail.
     cloud.origin.crs = text.and_then(|text| text.parse().ok());
-    let scan_name = free_name(&columns, SCAN);
+    let mut apart = Apart::default();
+    columns.iter().for_each(|column| _ = apart.keep(&column.name));
+    let scan_name = apart.another(SCAN);
     match places.as_slice() {
         [place] => cloud.origin.sensor = *place,
         _ if places.iter().all(Option::is_none) => {}
@@ -173,14 +179,6 @@ fn decode(mut file: Spool, end: Place, limits: Limits) -> Result<Cloud, FormatEr
         cloud.dropped_properties.push("images".to_owned());
     }
     Ok(cloud)
-}
-
-fn free_name(columns: &[Column], name: &str) -> String {
-    let mut name = name.to_owned();
-    while columns.iter().any(|column| column.name == name) {
-        name.push('_');
-    }
-    name
 }
 
 /// All that the crate tells.
@@ -221,6 +219,26 @@ fn check(scans: &[PointCloud], length: u64, limits: Limits) -> Result<(), Refusa
     if bits / 8 > length {
         let why = format!("the description counts {points} points, more than the file has room for");
         return Err(Refusal::Contradiction(why));
+    }
+    Ok(())
+}
+
+/// Most numbers of all columns, for each byte of a file. Those of a scan that is let through take a bit each, or share one
+/// with a column of one value.
+const MOST_A_BYTE: u64 = 16;
+
+/// Refuses columns that would be many and empty nearly everywhere: each is as long as all scans together.
+fn check_columns(scans: &[PointCloud], layouts: &[Layout], length: u64) -> Result<(), String> {
+    let names = layouts.iter().flat_map(|layout| layout.columns.iter().map(|(_, name)| name.as_str()));
+    let columns = names.collect::<HashSet<_>>().len();
+    if columns > MAX_COLUMNS {
+        return Err(format!("the scans have {columns} columns; more than {MAX_COLUMNS} are not read"));
+    }
+    let points = scans.iter().fold(0, |sum: u64, scan| sum.saturating_add(scan.records));
+    if points.saturating_mul(columns as u64) > length.saturating_mul(MOST_A_BYTE) {
+        return Err(format!(
+            "the scans have {columns} columns of {points} points, most of which hold nothing; convert the scans one by one"
+        ));
     }
     Ok(())
 }
@@ -319,7 +337,7 @@ impl Layout {
             Some(position) => (position, RecordName::CartesianInvalidState),
             None => (all(polar).ok_or("a scan has no coordinates")?, RecordName::SphericalInvalidState),
         };
-        let mut columns: Vec<(usize, String)> = Vec::new();
+        let (mut places, mut names) = (Vec::new(), Vec::new());
         for (place, record) in scan.prototype.iter().enumerate() {
             let name = match &record.name {
                 RecordName::Unknown { namespace, name } if namespace == NORMALS.0 => match name.as_str() {
@@ -335,12 +353,10 @@ impl Layout {
                     None => continue,
                 },
             };
-            let mut name = name;
-            while columns.iter().any(|(_, other)| *other == name) {
-                name.push('_');
-            }
-            columns.push((place, name));
+            places.push(place);
+            names.push(name);
         }
+        let columns = places.into_iter().zip(Apart::all(&names)).collect();
         Ok(Self { position, spherical: cartesian.is_none(), invalid: find(&state), columns })
     }
 }

@@ -14,7 +14,7 @@ use super::super::columns::MAX_COLUMNS;
 use super::super::names::{NameRule, own_names};
 use super::super::spool::Spool;
 use super::{NORMALS, OURS, SCAN, STANDARD, tag};
-use densecloud_cloud::{Attribute, Origin, Position, Role, Values, each_kind};
+use densecloud_cloud::{Attribute, Origin, Position, Role, Sensors, Values, each_kind};
 
 /// A column of the file.
 struct Column<'a> {
@@ -30,6 +30,27 @@ struct Column<'a> {
 pub(super) fn not_held(attributes: &[Attribute]) -> Vec<String> {
     let cannot = |(i, a): &(usize, &Attribute)| *i >= MAX_COLUMNS || data_type(&a.values).is_none();
     attributes.iter().enumerate().filter(cannot).map(|(_, a)| a.name.clone()).collect()
+}
+
+/// Whether the places of sensors are lost: they stand with scans, and a cloud need not fall into those that it was of.
+pub(super) fn loses_sensors(attributes: &[Attribute], origin: &Origin) -> bool {
+    let is_kept = |sensors: &Sensors| sensors.attribute == SCAN && split(attributes).is_some();
+    origin.sensors.as_deref().is_some_and(|sensors| !is_kept(sensors))
+}
+
+/// The attribute that splits the points into scans, and how many.
+fn split(attributes: &[Attribute]) -> Option<(&Attribute, usize)> {
+    let scan = attributes.iter().find(|attribute| attribute.name == SCAN)?;
+    Some((scan, scans(&scan.values)?))
+}
+
+/// The points of each scan, in their order.
+fn rows(points: usize, scan: Option<(&Attribute, usize)>) -> Vec<Vec<usize>> {
+    let Some((scan, count)) = scan else { return vec![(0..points).collect()] };
+    let mut rows = vec![Vec::new(); count];
+    // All are whole numbers below the count.
+    (0..points).for_each(|i| rows[scan.values.get(i) as usize].push(i));
+    rows
 }
 
 /// The file, from its beginning. An attribute `scan` that numbers the points' scans from 0 splits them into scans
@@ -55,7 +76,7 @@ pub(super) fn encode(
 }
 
 fn write(positions: &[Position], attributes: &[Attribute], origin: &Origin) -> Result<Spool, ::e57::Error> {
-    let scan = attributes.iter().find(|a| a.name == SCAN).and_then(|a| Some((a, scans(&a.values)?)));
+    let scan = split(attributes);
     let mut columns = columns(attributes, origin);
     columns.retain(|column| scan.is_none_or(|(scan, _)| column.attribute.name != scan.name));
     let prototype: Vec<Record> = axes().into_iter().chain(columns.iter().map(|c| c.record.clone())).collect();
@@ -70,31 +91,29 @@ fn write(positions: &[Position], attributes: &[Attribute], origin: &Origin) -> R
             writer.register_extension(Extension::new(namespace, url))?;
         }
     }
-    let count = scan.map_or(1, |(_, count)| count);
-    let places = origin.sensors.as_deref().filter(|sensors| sensors.attribute == SCAN);
+    let rows = rows(positions.len(), scan);
+    let places = origin.sensors.as_deref().filter(|sensors| sensors.attribute == SCAN && scan.is_some());
     let description = character_data(&origin.comments.join("\n"));
-    for number in 0..count {
+    let intensity = columns.iter().find(|c| c.record.name == RecordName::Intensity).map(limits);
+    for (number, rows) in rows.iter().enumerate() {
         let mut points = writer.add_pointcloud(&guid(&hash, 1 + number as u64), prototype.clone())?;
-        if count > 1 {
+        if scan.is_some() {
             points.set_name(Some(format!("scan {number}")));
         }
         points.set_description((!description.is_empty()).then(|| description.clone()));
-        let sensor =
-            if count == 1 { origin.sensor } else { places.and_then(|places| places.of(number as f64)) };
+        let sensor = places.map_or(origin.sensor, |places| places.of(number as f64));
         let [x, y, z] = sensor.unwrap_or_default();
         points.set_transform(
             sensor.map(|_| Transform { translation: Translation { x, y, z }, ..Transform::default() }),
         );
-        if let Some(intensity) = columns.iter().find(|c| c.record.name == RecordName::Intensity) {
-            points.set_intensity_limits(limits(intensity));
+        if let Some(limits) = &intensity {
+            points.set_intensity_limits(limits.clone());
         }
-        for (i, position) in positions.iter().enumerate() {
-            if scan.is_some_and(|(scan, count)| count > 1 && scan.values.get(i) != number as f64) {
-                continue;
-            }
+        for row in rows {
+            let position = positions[*row];
             let local = [position[0] - x, position[1] - y, position[2] - z];
             let local = local.into_iter().map(RecordValue::Double);
-            points.add_point(local.chain(columns.iter().map(|column| column.value(i))).collect())?;
+            points.add_point(local.chain(columns.iter().map(|column| column.value(*row))).collect())?;
         }
         points.finalize()?;
     }

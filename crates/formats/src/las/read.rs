@@ -5,6 +5,8 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use las::{PointData, PointDataBuilder, Reader, Transform};
 
+use super::super::columns::MAX_COLUMNS;
+use super::super::names::Apart;
 use super::super::reader::{Block, ColumnName, Ending, Points};
 use super::super::source::Source;
 use super::super::spool::Spool;
@@ -130,6 +132,11 @@ impl Decoder {
             ..head.told()
         };
         let length = usize::from(format.len());
+        let extra = extra_columns(&records, format.extra_bytes.into(), &mut dropped);
+        if extra.len() > MAX_COLUMNS {
+            let why = format!("extra bytes of {} names; more than {MAX_COLUMNS} are not read", extra.len());
+            return Err(FormatError::malformed(end, why));
+        }
         let fields = layout::fields(format).into_iter();
         Ok(Self {
             end,
@@ -139,7 +146,7 @@ impl Decoder {
             bare_length: length - usize::from(format.extra_bytes),
             axes,
             fields: fields.map(|field| FieldColumn { field, is_kept: field.always }).collect(),
-            extra: extra_columns(&records, format.extra_bytes.into(), &mut dropped),
+            extra,
             las,
             records,
             dropped,
@@ -187,14 +194,13 @@ impl Decoder {
             is_kept.then(|| ColumnName { name: field.name.to_owned(), kind: field.column().kind() })
         });
         let mut columns: Vec<Option<ColumnName>> = fields.collect();
+        let kept = columns.iter().flatten().map(|column| column.name.as_str());
+        let names: Vec<&str> = kept.chain(self.extra.iter().map(|extra| extra.name.as_str())).collect();
+        let names = Apart::all(&names).split_off(names.len() - self.extra.len());
         let mut described = Vec::new();
-        for extra in self.extra {
-            let (kind, mut name) = (extra.kind(), extra.name);
-            while columns.iter().flatten().any(|column| column.name == name) {
-                name.push('_');
-            }
-            described.push(LasExtra { name: name.clone(), entry: extra.entry });
-            columns.push(Some(ColumnName { name, kind }));
+        for (extra, name) in self.extra.into_iter().zip(names) {
+            columns.push(Some(ColumnName { name: name.clone(), kind: extra.kind() }));
+            described.push(LasExtra { name, entry: extra.entry });
         }
         let mut origin = Origin { crs: crs::read(&self.records), ..Origin::default() };
         for record in self.records.iter().filter(|record| role(record) == Role::Provenance) {

@@ -6,7 +6,7 @@ use las::point::Format;
 
 use super::super::FormatError;
 use super::super::kind::{Begun, FirstPass};
-use super::super::names::own_names;
+use super::super::names::Meanings;
 use super::extra::{self, scale};
 use super::layout::{self, Field};
 use super::plan::Plan;
@@ -57,10 +57,8 @@ impl Seen {
         let fields = layout::fields(widest(origin));
         let roles: Vec<_> =
             fields.iter().filter_map(|field| Some((Role::of(field.name)?, field.name))).collect();
-        let mut own = own_names(attributes, origin, "las", &roles);
-        for (own, attribute) in own.iter_mut().zip(attributes) {
-            *own = own.filter(|own| *own != TIME || is_gps_time(&attribute.name, origin));
-        }
+        let is_other_time = |name: &str, role| role == Role::Time && !is_gps_time(name, origin);
+        let own = Meanings::in_kind(attributes, origin, "las").but_for(is_other_time).own_names(&roles);
         let is_colour = |own: Option<&str>| own.is_some_and(|own| ["red", "green", "blue"].contains(&own));
         let mut colours = attributes.iter().zip(&own).filter(|(_, own)| is_colour(**own));
         let has_bytes = colours.all(|(attribute, _)| attribute.values.kind() == Kind::U8);
@@ -154,7 +152,7 @@ impl SeenColumn {
 /// Whether an attribute that is a time is that of GPS, and not the system's clock or the time since the start: by its name,
 /// or because E57 has no other for it.
 fn is_gps_time(name: &str, origin: &Origin) -> bool {
-    name.to_ascii_lowercase().contains("gps") || origin.named_in == Some("e57")
+    name.to_ascii_lowercase().contains("gps") || origin.is_named_in("e57")
 }
 
 /// A point format that has all fields that a cloud's file can have.

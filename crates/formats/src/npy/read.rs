@@ -122,6 +122,12 @@ impl NpyPoints {
             Literal::List(entries) => {
                 let mut dropped = Vec::new();
                 let (fields, stride) = structure(entries, &mut dropped)?;
+                if fields.len() > MAX_COLUMNS {
+                    let found = fields.len();
+                    return Err(format!(
+                        "a structure of {found} fields; more than {MAX_COLUMNS} are not read"
+                    ));
+                }
                 let names: Vec<String> = fields.iter().map(|field| field.name.clone()).collect();
                 let axes = axes_among(&names, "the fields have")?;
                 let points = list(&shape)?;

@@ -95,6 +95,10 @@ impl Choices for Pcd {
         true
     }
 
+    fn holds_orientation(&self) -> bool {
+        true
+    }
+
     fn not_held(&self, _attributes: &[Attribute], origin: &Origin) -> Vec<String> {
         let mut lost = origin.extra.as_ref().map(|extra| extra.lost_elsewhere()).unwrap_or_default();
         // Its place is for one.

@@ -1,6 +1,7 @@
 //! Reading.
 
 use super::super::axes::axes_among;
+use super::super::columns::MAX_COLUMNS;
 use super::super::names::Apart;
 use super::super::numbers::CRS;
 use super::super::reader::{Block, ColumnName, Ending, Points};
@@ -19,6 +20,8 @@ const MAX_EXPANSION: u64 = 90;
 /// A file whose header is read.
 pub(super) struct PcdPoints {
     fields: Vec<Field>,
+    /// By name, and where each comes from.
+    attributes: Vec<(String, Column)>,
     points: u64,
     data: PcdEncoding,
     /// Places of `x`, `y` and `z` among the fields.
@@ -107,6 +110,9 @@ impl PcdPoints {
         let whole =
             |word: &String| word.parse::<u64>().map_err(|_| format!("`{word}` is not a whole number"));
         let names = find("FIELDS").or(find("COLUMNS")).ok_or("the PCD header has no `FIELDS` line")?;
+        if names.len() > MAX_COLUMNS {
+            return Err(format!("{} fields; more than {MAX_COLUMNS} are not read", names.len()));
+        }
         let (sizes, types) = (need("SIZE")?, need("TYPE")?);
         let ones = vec!["1".to_owned(); names.len()];
         let counts = find("COUNT").unwrap_or(&ones);
@@ -155,7 +161,8 @@ impl PcdPoints {
             other => return Err(format!("`DATA {other}` is not known")),
         };
         let origin = find("VIEWPOINT").map(viewpoint).unwrap_or_default();
-        Ok(Self { fields, points, data, axes, origin, row: 0 })
+        let attributes = Self::attributes(&fields, axes);
+        Ok(Self { fields, attributes, points, data, axes, origin, row: 0 })
     }
 
     fn scalar(&self) -> Scalar {
@@ -175,30 +182,31 @@ impl PcdPoints {
     }
 
     /// The attributes, and where each comes from.
-    fn attributes(&self) -> Vec<(String, Column)> {
-        let (mut attributes, mut apart) = (Vec::new(), Apart::default());
-        for (place, field) in self.fields.iter().enumerate() {
-            let Some(kind) = field.kind.filter(|_| field.is_kept() && !self.axes.contains(&place)) else {
+    fn attributes(fields: &[Field], axes: [usize; 3]) -> Vec<(String, Column)> {
+        let (mut names, mut columns) = (Vec::new(), Vec::new());
+        for (place, field) in fields.iter().enumerate() {
+            let Some(kind) = field.kind.filter(|_| field.is_kept() && !axes.contains(&place)) else {
                 continue;
             };
             if !field.is_colour() {
-                attributes.push((apart.name(&field.name), Column { field: place, kind, shift: None }));
+                names.push(field.name.as_str());
+                columns.push(Column { field: place, kind, shift: None });
                 continue;
             }
             let alpha = field.name.eq_ignore_ascii_case("rgba").then_some(("alpha", 24));
             for (name, shift) in [("red", 16), ("green", 8), ("blue", 0)].into_iter().chain(alpha) {
-                let column = Column { field: place, kind: Kind::U8, shift: Some(shift) };
-                attributes.push((apart.name(name), column));
+                names.push(name);
+                columns.push(Column { field: place, kind: Kind::U8, shift: Some(shift) });
             }
         }
-        attributes
+        Apart::all(&names).into_iter().zip(columns).collect()
     }
 
     /// What was done about fields that have a name which another has.
     fn notes(&self) -> Vec<String> {
-        let renamed = self.attributes().into_iter().filter_map(|(name, column)| {
+        let renamed = self.attributes.iter().filter_map(|(name, column)| {
             let own = &self.fields[column.field].name;
-            let is_other = column.shift.is_none() && name != *own;
+            let is_other = column.shift.is_none() && name != own;
             is_other.then(|| format!("`{own}` is the name of several fields; a later one is called `{name}`"))
         });
         renamed.collect()
@@ -232,6 +240,10 @@ impl PcdPoints {
                         FormatError::malformed(source.line(), why)
                     })?;
                 }
+            }
+            if let Some(surplus) = next_token(&mut rest) {
+                let why = format!("{} stands behind the numbers of all fields", shown(surplus));
+                return Err(FormatError::malformed(source.line(), why));
             }
             row += 1;
         }
@@ -308,7 +320,7 @@ impl PcdPoints {
 impl Points for PcdPoints {
     fn append(&mut self, source: &mut Source<'_>, rows: usize, to: &mut Block) -> Result<(), FormatError> {
         if to.columns.is_empty() {
-            to.columns = self.attributes().into_iter().map(|(_, column)| Values::new(column.kind)).collect();
+            to.columns = self.attributes.iter().map(|(_, column)| Values::new(column.kind)).collect();
         }
         if self.row == self.points {
             return Ok(());
@@ -322,7 +334,7 @@ impl Points for PcdPoints {
         };
         let [x, y, z] = self.axes.map(|i| columns[i].take().unwrap_or(Values::new(Kind::F64)));
         to.positions.extend((0..x.len()).map(|i| [x.get(i), y.get(i), z.get(i)]));
-        for ((_, column), values) in self.attributes().into_iter().zip(&mut to.columns) {
+        for ((_, column), values) in self.attributes.iter().zip(&mut to.columns) {
             let Some(field) = &columns[column.field] else { continue };
             match (column.shift, values) {
                 (Some(shift), Values::U8(bytes)) => {
@@ -338,9 +350,9 @@ impl Points for PcdPoints {
         if self.data == PcdEncoding::Ascii {
             source.expect_end("the points that the header counts")?;
         }
-        let columns = self.attributes().into_iter();
-        let columns = columns.map(|(name, column)| Some(ColumnName { name, kind: column.kind })).collect();
         let notes = self.notes();
+        let columns = self.attributes.into_iter();
+        let columns = columns.map(|(name, column)| Some(ColumnName { name, kind: column.kind })).collect();
         Ok(Ending { columns, dropped_properties: Vec::new(), notes, origin: self.origin })
     }
 }

@@ -102,7 +102,7 @@ pub(super) fn header(pcd: Pcd, points: u64, attributes: &[Attribute], origin: &O
     text
 }
 
-/// What attributes become: as they are, but colours of 8 bits are packed into one number, `rgb` or, with `alpha`, `rgba`,
+/// What attributes become: as they are, where they are from PCD; else colours of 8 bits are packed into one number, `rgb` or, with `alpha`, `rgba`,
 /// and normals have the names and the type that PCL looks for.
 pub(super) fn fields(attributes: &[Attribute], origin: &Origin) -> Vec<Field> {
     let own = own_names(attributes, origin, "pcd", &OWN);
@@ -114,10 +114,16 @@ pub(super) fn fields(attributes: &[Attribute], origin: &Origin) -> Vec<Field> {
     };
     let alpha = bytes("alpha");
     let names = RULE.apply(&meant(attributes, &own));
+    let is_normal = |own: &str| own.starts_with("normal_");
+    let named = origin.named_in.as_ref().filter(|named| named.kind == "pcd");
+    let is_from_pcd = |name: &str| named.is_some_and(|named| named.names.iter().any(|own| own == name));
     let fields = names.into_iter().enumerate().map(|(i, name)| match colour {
         Some(colour) if colour[0] == i => Field::Packed { colour, alpha },
         Some(colour) if colour.contains(&i) || alpha == Some(i) => Field::Part,
-        _ => Field::Named { name, is_narrow: own[i].is_some_and(|own| own.starts_with("normal_")) },
+        _ => Field::Named {
+            name,
+            is_narrow: own[i].is_some_and(is_normal) && !is_from_pcd(&attributes[i].name),
+        },
     });
     fields.collect()
 }

@@ -4,6 +4,7 @@ use std::ops::Range;
 use std::sync::Arc;
 
 use super::super::axes::axes_among;
+use super::super::columns::MAX_COLUMNS;
 use super::super::numbers::CRS;
 use super::super::reader::{Block, ColumnName, Ending, Points};
 use super::super::source::Source;
@@ -21,6 +22,11 @@ pub(super) fn describe(
     let Some((at, vertex)) = header.element("vertex") else {
         return Err(FormatError::malformed(source.line(), "the PLY header declares no element `vertex`"));
     };
+    if vertex.properties.len() > MAX_COLUMNS {
+        let found = vertex.properties.len();
+        let why = format!("vertices of {found} properties; more than {MAX_COLUMNS} are not read");
+        return Err(FormatError::malformed(source.line(), why));
+    }
     let axes = axes(source, vertex)?;
     if let Some(limit) = limits.max_points
         && vertex.count > limit

@@ -57,10 +57,8 @@ pub(super) enum Shape {
 pub(super) fn parse(source: &mut Source<'_>) -> Result<PlyHeader, FormatError> {
     let mut encoding = None;
     let mut elements: Vec<Element> = Vec::new();
-    let (mut comments, mut notes) = (Vec::new(), Vec::new());
+    let mut comments = Vec::new();
     let mut element_names = HashSet::new();
-    // Of the last element.
-    let mut property_names = Apart::default();
     let mut bytes = 0;
     for number in 0..MAX_LINES {
         let Some(range) = source.next_line()? else {
@@ -82,6 +80,7 @@ pub(super) fn parse(source: &mut Source<'_>) -> Result<PlyHeader, FormatError> {
             (0, _) => return Err(bad("a PLY file begins with the line `ply`".into())),
             (_, ["end_header"]) => {
                 let encoding = encoding.ok_or_else(|| bad("the PLY header has no `format` line".into()))?;
+                let notes = elements.iter_mut().flat_map(Element::tell_apart).collect();
                 return Ok(PlyHeader { encoding, elements, comments, notes });
             }
             (_, ["format", name, version]) => {
@@ -97,17 +96,13 @@ pub(super) fn parse(source: &mut Source<'_>) -> Result<PlyHeader, FormatError> {
                 let count = count
                     .parse()
                     .map_err(|_| bad(format!("`{count}` is not a number of `{name}` elements")))?;
-                property_names = Apart::default();
                 elements.push(Element { name: (*name).to_owned(), count, properties: Vec::new() });
             }
             (_, ["property", rest @ ..]) => {
                 let Some(element) = elements.last_mut() else {
                     return Err(bad("a `property` before any `element`".into()));
                 };
-                let mut property = parse_property(rest).map_err(bad)?;
-                property.name = property_names.name(&property.declared);
-                notes.extend(property.renamed(&element.name));
-                element.properties.push(property);
+                element.properties.push(parse_property(rest).map_err(bad)?);
             }
             _ => return Err(bad(format!("`{}` means nothing in a PLY header", line.trim()))),
         }
@@ -176,6 +171,14 @@ impl PlyHeader {
 }
 
 impl Element {
+    /// Gives properties of one name others, and tells of each.
+    fn tell_apart(&mut self) -> Vec<String> {
+        let declared: Vec<&str> = self.properties.iter().map(|property| property.declared.as_str()).collect();
+        let names = Apart::all(&declared);
+        self.properties.iter_mut().zip(names).for_each(|(property, name)| property.name = name);
+        self.properties.iter().filter_map(|property| property.renamed(&self.name)).collect()
+    }
+
     /// Bytes a row in a binary file, if all rows are the same.
     pub(super) fn stride(&self) -> Option<usize> {
         self.properties.iter().try_fold(0, |sum, p| match p.shape {

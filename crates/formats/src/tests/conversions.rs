@@ -10,7 +10,7 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use super::*;
-use densecloud_cloud::{Kind, Origin, Role};
+use densecloud_cloud::{Kind, Named, Origin, Role};
 
 const POINTS: usize = 64;
 const LAS: Format = Format::Las { compressed: false };
@@ -104,7 +104,12 @@ fn written(cloud: &Cloud, format: Format) -> Vec<u8> {
 /// A cloud as a file of this format has it that was written by the program whose names these are.
 fn source(style: Style, format: Format) -> Cloud {
     let mut cloud = cloud(style);
-    cloud.origin.named_in = Some(format.kind());
+    // Where the format has names of its own, all programs write these.
+    if matches!(format, Format::Las { .. } | Format::E57 | Format::Colmap { .. }) {
+        return read(&written(&cloud, format)).expect("a cloud");
+    }
+    let names = cloud.attributes.iter().map(|attribute| attribute.name.clone()).collect();
+    cloud.origin.named_in = Some(Named { kind: format.kind(), names });
     read(&written(&cloud, format)).expect("a cloud")
 }
 
@@ -232,12 +237,14 @@ fn whole() -> String {
         crs: "EPSG:25832".parse().ok(),
         comments: vec!["made by hand".into()],
         sensor: Some([1.0, 2.0, 3.0]),
+        orientation: Some([0.0, 0.6, 0.8, 0.0]),
         ..Origin::default()
     };
-    let facts: [Fact; 3] = [
+    let facts: [Fact; 4] = [
         ("coordinate system", "coordinate system", |origin| origin.crs.is_some()),
         ("comments", "", |origin| origin.comments == ["made by hand"]),
-        ("sensor's place", "sensor", |origin| origin.sensor == Some([1.0, 2.0, 3.0])),
+        ("sensor's place", "sensor's place", |origin| origin.sensor == Some([1.0, 2.0, 3.0])),
+        ("how the sensor was turned", "turned", |origin| origin.orientation.is_some()),
     ];
     let cloud = Cloud { positions: cloud(Style::Ours).positions, origin, ..Cloud::default() };
     for (name, word, is_kept) in facts {

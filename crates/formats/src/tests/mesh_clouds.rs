@@ -23,10 +23,13 @@ fn vertices_of_off_are_points() {
     assert_eq!(cloud.positions, [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]);
     assert_eq!(names(&cloud), ["nx", "ny", "nz", "red", "green", "blue"]);
     assert_eq!(cloud.attributes[3].values, Values::U8(vec![255, 1]));
-    assert_eq!(cloud.dropped_properties, ["face"]);
+    assert_eq!(cloud.dropped_properties, ["face", "texture coordinates"]);
     assert_eq!(format_of(OFF.as_bytes()), Format::Off);
     let plain = read(b"OFF 1 0 0\n1 2 3 9 9 9\n").expect("a cloud");
-    assert!(plain.attributes.is_empty() && plain.dropped_properties.is_empty());
+    assert!(plain.attributes.is_empty());
+    assert_eq!(plain.dropped_properties, ["numbers behind 1 vertices that `OFF` does not tell of"]);
+    let shaded = read(b"COFF\n2 0 0\n1 2 3 0.5 0 1 0.5\n1 2 3 0.5 0 1\n").expect("a cloud");
+    assert_eq!(shaded.dropped_properties, ["numbers behind 1 vertices that `COFF` does not tell of"]);
     let short = read(b"COFF\n2 0 0\n1 2 3 0.5 0 1\n1 2 3\n").expect("a cloud");
     assert!(short.attributes[0].values.get(1).is_nan(), "no colour");
     let limits = Limits { max_points: Some(1), ..Limits::default() };

@@ -193,6 +193,19 @@ fn what_is_no_cloud_is_refused_with_its_reason() {
 }
 
 #[test]
+fn a_structure_of_more_fields_than_a_cloud_has_is_refused() {
+    let fields = |count: usize| {
+        let more: String = (0..count).map(|i| format!(", ('f{i}', '|u1')")).collect();
+        let kind = format!("[('x', '|u1'), ('y', '|u1'), ('z', '|u1'){more}]");
+        array(&kind, false, "(1,)", &vec![7; 3 + count])
+    };
+    // Longer than the 64 KiB of version 1.
+    assert_eq!(read(&fields(997)).expect("a cloud").attributes.len(), 997);
+    let why = read(&fields(2000)).expect_err("too many").to_string();
+    assert!(why.contains("2003 fields") && why.contains("1000"), "{why}");
+}
+
+#[test]
 fn every_cut_is_an_error() {
     let bytes = structured();
     for end in 0..bytes.len() {

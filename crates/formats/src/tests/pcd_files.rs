@@ -133,16 +133,15 @@ fn names_that_come_twice_are_made_different() {
     let told: Vec<&str> =
         cloud.notes.iter().map(|note| note.split(" is the name").next().unwrap_or("")).collect();
     assert_eq!(told, ["`i`", "`red`", "`i`"]);
-    // A hostile header, in time that grows with it.
-    let of = |word: &str| word.repeat(40_000);
+    let of = |word: &str| word.repeat(900);
     let many = format!(
         "VERSION .7\nFIELDS x y z{}\nSIZE 4 4 4{}\nTYPE F F F{}\nWIDTH 1\nPOINTS 1\nDATA binary\n",
         of(" i"),
         of(" 1"),
         of(" U")
     );
-    let many = read(&[many.as_bytes(), &[0; 40_012]].concat()).expect("a cloud");
-    assert_eq!((many.attributes.len(), many.notes.len()), (40_000, 20));
+    let many = read(&[many.as_bytes(), &[0; 912]].concat()).expect("a cloud");
+    assert_eq!((many.attributes.len(), many.notes.len()), (900, 20));
     let twice = text.replacen("x y z i i", "x x z i i", 1);
     assert!(read(twice.as_bytes()).expect_err("x twice").to_string().contains("no number `y`"));
     let twice = text.replacen("x y z i i", "x y z x i", 1);
@@ -183,6 +182,35 @@ fn what_is_wrong_is_told() {
 }
 
 const PCDS: [PcdEncoding; 3] = [PcdEncoding::Ascii, PcdEncoding::Binary, PcdEncoding::Compressed];
+
+#[test]
+fn a_line_has_as_many_numbers_as_there_are_fields() {
+    let file = |row: &str| {
+        format!(
+            "# .PCD v0.7\nFIELDS x y z i\nSIZE 4 4 4 4\nTYPE F F F F\nWIDTH 2\nDATA ascii\n{row}\n1 2 3 4\n"
+        )
+    };
+    assert!(read(file("1 2 3 4 ").as_bytes()).is_ok());
+    let why = read(file("1 2 3 4 5").as_bytes()).expect_err("one more").to_string();
+    assert_eq!(why, "line 7: `5` stands behind the numbers of all fields");
+}
+
+#[test]
+fn a_header_of_more_fields_than_a_cloud_has_is_refused() {
+    let header = |count: usize| {
+        let words = |word: &str| format!(" {word}").repeat(count);
+        format!(
+            "# .PCD v0.7\nFIELDS x y z{}\nSIZE 4 4 4{}\nTYPE F F F{}\nWIDTH 1\nDATA ascii\n1 2 3{}\n",
+            words("a"),
+            words("1"),
+            words("U"),
+            words("7")
+        )
+    };
+    assert_eq!(read(header(997).as_bytes()).expect("a cloud").attributes.len(), 997);
+    let why = read(header(100_000).as_bytes()).expect_err("too many").to_string();
+    assert!(why.contains("100003 fields") && why.contains("1000"), "{why}");
+}
 
 fn whole(format: Format, cloud: &Cloud) -> Vec<u8> {
     encode(Vec::new(), format, &cloud.positions, &cloud.attributes, &cloud.origin).expect("a file")
