@@ -6,6 +6,7 @@ use std::io::{self, ErrorKind, Read};
 use flate2::read::MultiGzDecoder;
 use sha2::{Digest, Sha256};
 
+use super::first_bytes::ENOUGH;
 use super::source::Input;
 use super::{FormatError, Limits};
 
@@ -56,12 +57,19 @@ struct Utf16 {
 }
 
 impl<'r> Layers<'r> {
-    /// Looks at the first bytes. `transcode` is whether UTF-16 may be about it.
-    pub(super) fn new(input: Input<'r>, limits: Limits, transcode: bool) -> Result<Self, FormatError> {
+    /// Looks at the first bytes. `transcode` is whether UTF-16 may be about it; nothing lies about what `is_known`, since the
+    /// first bytes of that may be a number.
+    pub(super) fn new(
+        input: Input<'r>,
+        limits: Limits,
+        transcode: bool,
+        is_known: fn(&[u8]) -> bool,
+    ) -> Result<Self, FormatError> {
         let raw = Raw { input, pulled: 0, max_bytes: limits.max_bytes, hash: Sha256::new() };
         let mut raw = Ahead { inner: raw, bytes: Vec::new() };
         // Magic, deflate, and no flag that is reserved.
-        let is_gzip = matches!(raw.peek().map_err(unwrapped)?, [0x1F, 0x8B, 8, 0..0x20]);
+        let head = raw.peek().map_err(unwrapped)?;
+        let is_gzip = matches!(head, [0x1F, 0x8B, 8, 0..0x20, ..]) && !is_known(head);
         let packed = if is_gzip {
             let decoder = MultiGzDecoder::new(raw);
             Packed::Gzip(Box::new(Expanded { decoder, expanded: 0, max_bytes: limits.max_bytes }))
@@ -71,8 +79,8 @@ impl<'r> Layers<'r> {
         let mut packed = Ahead { inner: packed, bytes: Vec::new() };
         let utf16 = |is_big| Utf16 { is_big, rest: Vec::new(), text: Vec::new(), given: 0 };
         let utf16 = match packed.peek().map_err(unwrapped)? {
-            _ if !transcode => None,
-            [0xFF, 0xFE, 0, 0] | [0, 0, 0xFE, 0xFF] => {
+            head if !transcode || is_known(head) => None,
+            [0xFF, 0xFE, 0, 0, ..] | [0, 0, 0xFE, 0xFF, ..] => {
                 let found = "text in UTF-32; save it as UTF-8".to_owned();
                 return Err(FormatError::Unrecognised { found });
             }
@@ -194,11 +202,11 @@ impl Read for Expanded<'_> {
 }
 
 impl<R: Read> Ahead<R> {
-    /// The first four bytes, fewer where there are no more. To be asked before anything is read.
+    /// The first bytes, enough to recognise any format, fewer where there are no more. To be asked before anything is read.
     fn peek(&mut self) -> io::Result<&[u8]> {
-        let mut bytes = [0; 4];
-        while self.bytes.len() < 4 {
-            let got = self.inner.read(&mut bytes[..4 - self.bytes.len()])?;
+        let mut bytes = [0; ENOUGH];
+        while self.bytes.len() < ENOUGH {
+            let got = self.inner.read(&mut bytes[..ENOUGH - self.bytes.len()])?;
             if got == 0 {
                 break;
             }

@@ -4,7 +4,7 @@ use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
-use super::source::{Input, Source};
+use super::source::{Around, Input, Source};
 use super::text::{next_token, shown, strip_comment};
 use super::{FormatError, Limits, Place, off, ply};
 use densecloud_cloud::Position;
@@ -28,7 +28,7 @@ pub fn read_mesh_file(path: &Path) -> Result<Mesh, FormatError> {
 /// The content is neither, is malformed, has a triangle with a NaN or infinite corner, refers to a
 /// vertex that is not there, or holds no triangle.
 pub fn read_mesh<R: Read>(reader: R) -> Result<Mesh, FormatError> {
-    let mut source = Source::new(Input::Stream(Box::new(reader)), Limits::default(), false)?;
+    let mut source = Source::new(Input::Stream(Box::new(reader)), Limits::default(), Around::Utf8)?;
     let head = source.peek(4096)?;
     if head.starts_with(b"ply") {
         return ply::read_mesh(&mut source);

@@ -9,7 +9,7 @@ use super::first_bytes::ENOUGH;
 use super::kind::Opened;
 use super::known;
 use super::registry::{self, Found};
-use super::source::{Input, Source};
+use super::source::{Around, Input, Source};
 use super::text::shown;
 use super::{Format, FormatError, Header, Limits, Reading};
 use densecloud_cloud::{Attribute, Cloud, Kind, Named, Origin, Position, Values};
@@ -163,9 +163,8 @@ impl<'r> CloudReader<'r> {
         name: Option<&Path>,
     ) -> Result<Self, FormatError> {
         let asked = reading.format.and_then(|format| registry::by_name(format.name()));
-        // Numbers in binary may begin like UTF-16.
-        let transcode = asked.as_ref().is_none_or(|found| found.is_text);
-        let mut source = Source::new(input, limits, transcode)?;
+        let around = asked.as_ref().map_or(Around::Utf16, |found| found.around);
+        let mut source = Source::new(input, limits, around)?;
         let found = match asked {
             Some(found) => found,
             None => recognise(source.peek(ENOUGH)?, name)?,
@@ -210,9 +209,9 @@ impl<'r> CloudReader<'r> {
         ending.dropped_properties = dropped;
         if !self.unheeded.is_empty() {
             let options = self.unheeded.join(", ");
-            ending
-                .notes
-                .push(format!("{options}: for text; this is {}, and tells its own", self.header.format));
+            let note = format!("{options}: for text; this is {}, and tells its own", self.header.format);
+            // Before what may be told often.
+            ending.notes.insert(0, note);
         }
         shorten(&mut ending.notes);
         let names = ending.columns.iter().flatten().map(|column| column.name.clone()).collect();

@@ -5,7 +5,7 @@
 use std::path::Path;
 
 use super::kind::{Choices, Kind, Mark, Opened};
-use super::source::Source;
+use super::source::{Around, Source};
 use super::{
     Decimal, FormatError, Limits, PcdEncoding, PlyEncoding, Reading, Scalar, Separator, colmap, e57, kitti,
     las, npy, obj, off, pcd, ply, ptx, xyz,
@@ -200,8 +200,8 @@ pub(crate) struct Found {
     pub(crate) is_bare: bool,
     /// The word that ends its header, if the header must be whole to be judged.
     pub(crate) header_end: Option<&'static [u8]>,
-    /// Whether it is text from its beginning on.
-    pub(crate) is_text: bool,
+    /// What may lie about it.
+    pub(crate) around: Around,
     /// The options of [`Reading`] that say how it is read.
     pub(crate) heeds: &'static [&'static str],
 }
@@ -227,7 +227,11 @@ fn find(fits: impl Fn(&Registered) -> bool) -> Option<Found> {
         open: kind.open,
         is_bare: kind.is_bare,
         header_end: kind.header_end,
-        is_text: matches!(kind.mark, Mark::Lines(_)),
+        around: match kind.mark {
+            Mark::Lines(_) => Around::Utf16,
+            Mark::Bytes(_) => Around::Utf8,
+            Mark::None => Around::Nothing,
+        },
         heeds: kind.heeds,
     })
 }

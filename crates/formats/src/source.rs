@@ -4,7 +4,9 @@ use std::fs::File;
 use std::io::{self, Read, Seek, Write};
 use std::ops::Range;
 
+use super::first_bytes::ENOUGH;
 use super::layers::Layers;
+use super::registry;
 use super::spool::Spool;
 use super::{FormatError, Limits, Place};
 
@@ -16,6 +18,17 @@ pub(super) const BOM: &[u8] = b"\xEF\xBB\xBF";
 
 /// A longer line is refused: without a bound, a file without line ends would be held in memory whole.
 const MAX_LINE: usize = 1 << 20;
+
+/// What may lie about a file's bytes, gzip aside.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Around {
+    /// UTF-16, or the byte order mark of UTF-8.
+    Utf16,
+    /// That mark alone: numbers may begin like UTF-16.
+    Utf8,
+    /// Nothing: numbers may begin like anything.
+    Nothing,
+}
 
 /// Where the bytes come from.
 pub(super) enum Input<'r> {
@@ -59,11 +72,11 @@ pub(super) struct Source<'r> {
 }
 
 impl<'r> Source<'r> {
-    /// Takes off what lies about the bytes (of UTF-16 only where `transcode` allows it), skips a UTF-8 byte order mark and
-    /// finds out what ends a line.
-    pub(super) fn new(input: Input<'r>, limits: Limits, transcode: bool) -> Result<Self, FormatError> {
+    /// Takes off what may lie about the bytes and finds out what ends a line.
+    pub(super) fn new(input: Input<'r>, limits: Limits, around: Around) -> Result<Self, FormatError> {
+        let is_known = |head: &[u8]| registry::by_bytes(head).is_some();
         let mut source = Self {
-            layers: Layers::new(input, limits, transcode)?,
+            layers: Layers::new(input, limits, around == Around::Utf16, is_known)?,
             buffer: vec![0; BLOCK],
             start: 0,
             end: 0,
@@ -72,8 +85,9 @@ impl<'r> Source<'r> {
             line: 0,
             newline: b'\n',
         };
-        if transcode && source.peek(3)? == BOM {
-            source.consume(3);
+        let head = source.peek(ENOUGH)?;
+        if around != Around::Nothing && head.starts_with(BOM) && !is_known(head) {
+            source.consume(BOM.len());
         }
         let head = source.peek(4096)?;
         // A return that no line feed follows ends lines by itself (as on old Macs).

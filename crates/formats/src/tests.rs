@@ -22,6 +22,7 @@ mod places;
 mod ptx_files;
 mod round_trips;
 mod text;
+mod told;
 
 use super::*;
 use densecloud_cloud::{Attribute, Cloud, Position, Values};

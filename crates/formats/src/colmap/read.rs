@@ -1,6 +1,7 @@
 //! Reading, as text and as records.
 
 use super::super::columns::TextColumn;
+use super::super::first_bytes::ENOUGH;
 use super::super::reader::{Block, ColumnName, Ending, Points};
 use super::super::source::Source;
 use super::super::text::{next_token, parse_f64, shown};
@@ -41,7 +42,7 @@ struct Record {
 impl ColmapPoints {
     /// Reads the count, if there is one.
     pub(super) fn open(source: &mut Source<'_>, limits: Limits) -> Result<(Self, Header), FormatError> {
-        let head = source.peek(super::super::first_bytes::ENOUGH)?;
+        let head = source.peek(ENOUGH)?;
         let binary = !has_title(head) && super::super::known::is_binary(head);
         let claimed = if binary { Some(count(source)?) } else { None };
         if let (Some(points), Some(limit)) = (claimed, limits.max_points)
@@ -257,7 +258,8 @@ impl Record {
     }
 }
 
-/// Whether bytes are a count and records, by two of them at least: their keys, errors and tracks leave no doubt.
+/// Whether bytes are a count and records, by two of them at least, or one whose track fills all that is looked at: their
+/// keys, errors and tracks leave no doubt.
 pub(super) fn are_records(head: &[u8]) -> bool {
     let Some((count, mut rest)) = head.split_at_checked(8) else { return false };
     let count = u64::from_le_bytes(count.try_into().unwrap_or_default());
@@ -271,7 +273,8 @@ pub(super) fn are_records(head: &[u8]) -> bool {
         // Less than 2^23.
         rest = after.get((record.sightings * SIGHTING) as usize..).unwrap_or_default();
     }
-    found > 1 && count <= u64::from(u32::MAX)
+    let least = if head.len() < ENOUGH { 2 } else { 1 };
+    found >= least && count <= u64::from(u32::MAX)
 }
 
 fn count(source: &mut Source<'_>) -> Result<u64, FormatError> {

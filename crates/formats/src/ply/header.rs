@@ -226,11 +226,11 @@ pub(super) fn kind_name(kind: Kind) -> &'static str {
 #[cfg(test)]
 mod tests {
     use super::super::super::Limits;
-    use super::super::super::source::Input;
+    use super::super::super::source::{Around, Input};
     use super::*;
 
     fn parse_text(text: &[u8]) -> Result<PlyHeader, FormatError> {
-        parse(&mut Source::new(Input::Stream(Box::new(text)), Limits::default(), false)?)
+        parse(&mut Source::new(Input::Stream(Box::new(text)), Limits::default(), Around::Utf8)?)
     }
 
     #[test]

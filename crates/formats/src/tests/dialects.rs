@@ -360,8 +360,8 @@ fn clouds_one_after_another_are_all_read() {
         (
             "1\n1 2 3\n3\n4 5 6\n",
             &[
-                "line 3 counts 3 points, and 1 follow it; all of them are read",
                 "the file has 2 clouds; `scan` numbers them from 0",
+                "line 3 counts 3 points, and 1 follow it; all of them are read",
             ],
         ),
     ] {

@@ -102,3 +102,60 @@ fn damaged_gzip_is_named() {
     followed.extend(b"no gzip");
     assert!(read(&followed).is_err());
 }
+
+/// A `points3D.bin` of this many points, with an empty track each but for the first.
+fn colmap(points: u64, sightings: u64) -> Vec<u8> {
+    let mut bytes = points.to_le_bytes().to_vec();
+    for key in 1..=points {
+        bytes.extend(key.to_le_bytes());
+        bytes.extend([1.5, -2.0, key as f64].iter().flat_map(|c| c.to_le_bytes()));
+        bytes.extend([1, 2, 3]);
+        bytes.extend(0.5_f64.to_le_bytes());
+        let seen = if key == 1 { sightings } else { 0 };
+        bytes.extend(seen.to_le_bytes());
+        bytes.resize(bytes.len() + 8 * seen as usize, 7);
+    }
+    bytes
+}
+
+#[test]
+fn a_count_of_points_is_no_mark_of_text_or_gzip() {
+    for points in [0xFEFF, 0xFFFE, 0x8_8B1F] {
+        let bytes = colmap(points, 2);
+        for bytes in [gzip(&bytes), bytes] {
+            let cloud = read(&bytes).unwrap_or_else(|why| panic!("{points} points: {why}"));
+            assert_eq!(cloud.positions.len() as u64, points);
+        }
+    }
+}
+
+#[test]
+fn a_long_track_does_not_hide_what_a_file_is() {
+    for sightings in [500, 5000] {
+        assert_eq!(read(&colmap(3, sightings)).expect("a cloud").positions.len(), 3);
+    }
+    assert!(
+        read(&colmap(3, 5000)[..10_000]).expect_err("cut off").to_string().contains("a track of 5000 images")
+    );
+}
+
+#[test]
+fn a_mark_of_utf_8_is_taken_off_where_the_format_is_said() {
+    let read_as = |text: &str, name: &str| {
+        let reading = Reading { format: Some(name.parse().expect("a format")), ..Reading::default() };
+        let marked = ["\u{feff}", text].concat();
+        CloudReader::open_as(marked.as_bytes(), Limits::default(), &reading).and_then(CloudReader::read)
+    };
+    let ply = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\nend_header\n";
+    let pcd = "FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH 1\nDATA ascii\n";
+    for (text, name) in [
+        (format!("{ply}1 2 3\n"), "ply"),
+        (format!("{pcd}1 2 3\n"), "pcd"),
+        ("7 1 2 3 9 9 9 0.5\n".to_owned(), "colmap"),
+    ] {
+        let cloud = read_as(&text, name).unwrap_or_else(|why| panic!("{name}: {why}"));
+        assert_eq!(cloud.positions, [[1.0, 2.0, 3.0]], "{name}");
+    }
+    // Bare numbers have no mark: 16 bytes of them are a point.
+    assert!(read_as("0123456789abc", "kitti").is_ok());
+}

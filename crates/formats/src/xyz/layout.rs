@@ -1,9 +1,12 @@
 //! What the first lines of a file say of all: how they are cut, what the columns are called, where the points begin.
 
+use std::ops::Range;
+
 use super::super::columns::MAX_COLUMNS;
 use super::super::reading::{AXES, DECIMAL, SEPARATOR};
 use super::super::text::shown;
 use super::super::{FormatError, Place, Reading};
+use super::comments;
 use super::cuts;
 use super::dialect::Dialect;
 use super::fit::{Fit, best};
@@ -62,6 +65,7 @@ impl Layout {
             cuts::unambiguous(&lines, &layout)?;
         }
         layout.notes.dedup();
+        layout.notes.extend(comments::behind_points(&lines, &layout));
         Ok(Some(layout))
     }
 }
@@ -344,15 +348,20 @@ impl<'a> Head<'a> {
         while from > after && self.is_unknown(from - 1, axes, heading.is_some()) {
             from -= 1;
         }
-        for at in after..from {
-            let (line, seen) = (self.lines[at], self.fit.lines[at]);
-            if heading.is_none() || is_comment(&line.bytes) || as_count(&line.bytes).is_some() {
+        for at in (0..from).filter(|at| heading != Some(*at)) {
+            let (line, has_numbers) = (self.lines[at], self.fit.lines[at].numbers > 0);
+            if is_comment(&line.bytes) || as_count(&line.bytes).is_some() {
                 continue;
             }
-            if seen.numbers > 0 || self.is_foreign(at) {
+            // Before the names are titles, and they may have numbers, but not where the coordinates stand.
+            let is_behind = heading.is_some() && at >= after;
+            if is_behind && (has_numbers || self.is_foreign(at)) || self.has_position(at, axes) {
                 return Err(self.broken(at));
             }
-            self.notes.push(format!("line {} is not taken for a point: {}", line.number, shown(&line.bytes)));
+            if is_behind || has_numbers {
+                let shown = shown(&line.bytes);
+                self.notes.push(format!("line {} is not taken for a point: {shown}", line.number));
+            }
         }
         if let (None, Some(skipped)) = (heading, self.counted_columns(from)) {
             self.notes.push(format!(
@@ -363,6 +372,16 @@ impl<'a> Head<'a> {
             return Ok((axes, self.lines[from + 1].number));
         }
         Ok((axes, self.lines[from].number))
+    }
+
+    /// Whether a line has numbers where the coordinates stand.
+    fn has_position(&self, at: usize, axes: [usize; 3]) -> bool {
+        let (line, dialect) = (self.lines[at], Dialect { quoted: true, ..self.fit.dialect });
+        let mut places = Vec::new();
+        let is_number =
+            |place: &Range<usize>| !place.is_empty() && dialect.number(&line.bytes[place.clone()]).is_some();
+        dialect.split(&line.bytes, &mut places).is_ok()
+            && axes.iter().all(|axis| places.get(*axis).is_some_and(is_number))
     }
 
     /// Whether a line has as many fields as points have, and numbers of other files among them.

@@ -1,5 +1,6 @@
 //! Text with a point a line.
 
+mod comments;
 mod cuts;
 mod dialect;
 mod fit;

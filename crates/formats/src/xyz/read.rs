@@ -56,15 +56,12 @@ struct Clouds {
     notes: Vec<String>,
 }
 
-/// Sentences that are told at most.
-const MOST_NOTES: usize = 20;
-
 impl Clouds {
     /// The cloud ends here: whether its count was right.
     fn end(&mut self, points: u64) {
         let Some((line, count)) = self.counted else { return };
         let found = points - self.before;
-        if found != count && self.notes.len() < MOST_NOTES {
+        if found != count {
             self.notes.push(format!(
                 "line {line} counts {count} points, and {found} follow it; all of them are read"
             ));
@@ -331,11 +328,11 @@ impl Points for XyzPoints {
         }
         if has_scan {
             let clouds = u32::from(self.clouds.number) + 1;
-            self.clouds.notes.push(format!("the file has {clouds} clouds; `{SCAN}` numbers them from 0"));
+            ending.notes.insert(0, format!("the file has {clouds} clouds; `{SCAN}` numbers them from 0"));
         }
-        let rounded = std::mem::replace(&mut ending.notes, layout.notes);
-        ending.notes.extend(rounded.into_iter().chain(note));
-        ending.notes.append(&mut self.clouds.notes);
+        // What is told once comes before what may be told often.
+        let once = note.into_iter().chain(std::mem::take(&mut ending.notes));
+        ending.notes = once.chain(layout.notes).chain(self.clouds.notes).collect();
         ending.origin.extra = layout.style.map(Extra::new);
         Ok(ending)
     }
