@@ -41,16 +41,17 @@ def export_units(cascade: network.Cascade, folder: Path) -> List[Path]:
     return paths
 
 
-def export_model(run: Path, folder: Path, name: str) -> None:
-    """The model folder of a run."""
+def export_model(run: Path, folder: Path, name: str) -> Path:
+    """The model folder of a run; returns its card."""
     cascade, state, trained = checkpoints.load_cascade(run)
     units = export_units(cascade, folder)
     log = read_log(run) if (run / LOG).exists() else []
-    print(write_card(folder, name, units, state, trained, log))
+    card = write_card(folder, name, units, state, trained, log)
     shutil.copyfile(run / checkpoints.FILE, folder / checkpoints.FILE)
     if log:
         shutil.copyfile(run / LOG, folder / LOG)
         draw(log, folder / "training.png")
+    return card
 
 
 def main(values: Optional[List[str]] = None) -> None:
@@ -70,7 +71,7 @@ def main(values: Optional[List[str]] = None) -> None:
         torch.manual_seed(arguments.seed)
         export_units(network.Cascade(arguments.levels, arguments.k, arguments.neighbours), arguments.out)
     else:
-        export_model(arguments.run, arguments.out, arguments.name)
+        print(export_model(arguments.run, arguments.out, arguments.name))
 
 
 if __name__ == "__main__":

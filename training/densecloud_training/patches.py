@@ -5,7 +5,7 @@ from the device's own.
 """
 
 import random
-from typing import List, NamedTuple
+from typing import List, NamedTuple, Protocol
 
 import torch
 
@@ -30,6 +30,13 @@ class Batch(NamedTuple):
     reference: torch.Tensor
     input_radius: torch.Tensor
     reference_radius: torch.Tensor
+
+
+class Source(Protocol):
+    """What batches come from."""
+
+    def draw(self, levels: int, batch: int) -> Batch:
+        """Pairs for 2^levels times as many points."""
 
 
 def nearest_of_seed(distances: torch.Tensor, cloud: torch.Tensor, count: int):

@@ -66,7 +66,8 @@ def draw(entries: List[Dict[str, Any]], out: Path) -> None:
         for minutes in list(starts.values())[1:]:
             axis.axvline(minutes, color="0.8", linewidth=0.8, zorder=0)
         axis.grid(alpha=0.2)
-        axis.legend(fontsize=7)
+        if axis.get_legend_handles_labels()[0]:
+            axis.legend(fontsize=7)
     figure.tight_layout()
     figure.savefig(out, dpi=90)
 

@@ -9,7 +9,7 @@ import signal
 import sys
 import time
 from pathlib import Path
-from typing import Any, Dict, List, Optional
+from typing import Any, Dict, List, NamedTuple, Optional, Union
 
 import torch
 
@@ -20,7 +20,7 @@ from .config import Config, Stage
 from .errors import run_command
 from .levels import run_levels
 from .loss import chamfer, crowding
-from .patches import PatchSource
+from .patches import PatchSource, Source
 from .profiling import part, report
 from .schedule import learning_rate, prepare_units
 from .validation import Validation
@@ -29,10 +29,25 @@ from .variants import build_cascade
 LOG = "log.jsonl"
 
 
+class Material(NamedTuple):
+    """What a run is trained on, where that is no set of clouds: for the card, and the device that trains."""
+
+    names: List[str]
+    sources: List[Dict[str, str]]
+    device: torch.device
+
+
 class Trainer:
     """A run: the cascade, the stage it is in, and everything that decides the next step."""
 
-    def __init__(self, config: Config, training: cloud_sets.Clouds, budget_seconds: Optional[float]):
+    def __init__(
+        self,
+        config: Config,
+        training: Union[cloud_sets.Clouds, Material],
+        budget_seconds: Optional[float],
+        source: Optional[Source] = None,
+    ):
+        """`source` draws the batches; without one, they come from the clouds of `training`."""
         self.config, self.training, self.budget = config, training, budget_seconds
         self.device = training.device
         self.host = random.Random(config.seed)
@@ -40,7 +55,7 @@ class Trainer:
         self.cascade = build_cascade(config.levels, config.k, config.unit).to(self.device)
         # What is scored and shipped: a running mean of the weights, which steps of a high rate do not shake.
         self.averaged = copy.deepcopy(self.cascade).requires_grad_(False)
-        self.source = PatchSource(training, config.data, config.patch, self.host)
+        self.source = source or PatchSource(training, config.data, config.patch, self.host)
         self.batch = config.batch_cuda if self.device.type == "cuda" else config.batch_cpu
         self.round, self.stage_index, self.stage_step, self.step = 0, 0, 0, 0
         self.stage_seconds, self.seconds, self.patches = 0.0, 0.0, 0

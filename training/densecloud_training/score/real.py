@@ -241,7 +241,7 @@ def read(program: Program, file: Path, kept: Path) -> Dict[str, np.ndarray]:
     kept.mkdir(parents=True, exist_ok=True)
     converted = kept / f"{file.stem}.npy"
     if not (converted.exists() and converted.stat().st_mtime_ns >= file.stat().st_mtime_ns):
-        program.run("upsample", file, converted, "--ratio", 1, "--keep-input", "--quiet")
+        program.run("upsample", file, converted, "--ratio", 1, "--keep-input", "--no-polish", "--quiet")
     array = np.load(converted)
     points = points_of(array)
     _, first = np.unique(points, axis=0, return_index=True)
