@@ -43,8 +43,8 @@ pub struct Limits {
 impl Format {
     /// The format that a file's extension asks for: `ply` is binary, little-endian, with 32-bit
     /// floats; `xyz`, `txt`, `asc`, `pts` and `pwn` are text without names, with spaces, and `csv` with
-    /// commas; `las`, `laz`, `e57`, `pcd` (binary) and `npy` (64-bit floats, attributes as fields) are what they say.
-    /// Case is ignored.
+    /// commas; `las`, `laz`, `e57`, `pcd` (binary) and `npy` (64-bit floats, attributes as fields) are what they say. The
+    /// whole names `points3D.txt` and `points3D.bin` come first. Case is ignored.
     #[must_use]
     pub fn from_extension(path: &Path) -> Option<Self> {
         let lower = |name: &std::ffi::OsStr| Some(name.to_str()?.to_ascii_lowercase());
@@ -203,8 +203,8 @@ impl Format {
     }
 
     /// The exact length in bytes of a file of `points` points with these attributes as
-    /// [`CloudWriter`](super::CloudWriter) writes it, where it depends on nothing else: binary PLY and
-    /// PCD, and NumPy.
+    /// [`CloudWriter`](super::CloudWriter) writes it, where it depends on nothing else: binary PLY,
+    /// PCD and COLMAP, and NumPy.
     #[must_use]
     pub fn encoded_len(self, points: u64, attributes: &[Attribute], origin: &Origin) -> Option<u64> {
         self.ask(|format| format.encoded_len(points, attributes, origin))

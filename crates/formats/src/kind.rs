@@ -7,7 +7,7 @@ use std::io::{Seek, Write};
 use super::reader::Points;
 use super::source::Source;
 use super::spool::Spool;
-use super::{Format, FormatError, Header, Limits, Reading, Scalar, writer};
+use super::{Format, FormatError, Header, Limits, Reading, Scalar, registry, writer};
 use densecloud_cloud::{Attribute, Origin, Position, Role};
 
 /// A format, whatever the choices within it: how its files are named, recognised and opened. The type that
@@ -209,10 +209,61 @@ pub(crate) trait Choices: fmt::Display {
         attributes: &[Attribute],
         origin: &Origin,
     ) -> Result<Spool, FormatError> {
-        let mut file = Spool::new();
-        self.encode(&mut file, positions, attributes, origin)?;
-        file.rewind()?;
-        Ok(file)
+        encoded(self, positions, attributes, origin)
+    }
+}
+
+/// A file that is written from its beginning to its end, as a spool.
+pub(crate) fn encoded<C: Choices + ?Sized>(
+    format: &C,
+    positions: &[Position],
+    attributes: &[Attribute],
+    origin: &Origin,
+) -> Result<Spool, FormatError> {
+    let mut file = Spool::new();
+    format.encode(&mut file, positions, attributes, origin)?;
+    file.rewind()?;
+    Ok(file)
+}
+
+/// A format that is read and not written, with its choices made: its clouds are written in another.
+pub(crate) trait ReadOnly: fmt::Display {
+    /// As [`Choices::media_type`].
+    fn media_type(&self) -> &'static str;
+
+    /// As [`Choices::scalar`].
+    fn scalar(&self) -> Scalar {
+        Scalar::F64
+    }
+}
+
+impl<T: ReadOnly> Choices for T {
+    fn media_type(&self) -> &'static str {
+        ReadOnly::media_type(self)
+    }
+
+    fn of_result(&self, input: Format, _names: bool) -> Format {
+        input.written()
+    }
+
+    fn written(&self) -> Option<Format> {
+        Some(registry::usual(ReadOnly::scalar(self)))
+    }
+
+    fn scalar(&self) -> Scalar {
+        ReadOnly::scalar(self)
+    }
+
+    fn holds_comments(&self) -> bool {
+        false
+    }
+
+    fn is_streamed(&self) -> bool {
+        false
+    }
+
+    fn begin(&self, _points: u64, _attributes: &[Attribute], _origin: &Origin) -> Result<Begun, FormatError> {
+        Err(FormatError::read_only(self))
     }
 }
 

@@ -3,13 +3,12 @@
 use std::fmt;
 
 use super::columns::TextColumn;
-use super::kind::{self, Begun, Choices, Mark, Opened};
-use super::ply::Ply;
+use super::kind::{self, Mark, Opened, ReadOnly};
 use super::reader::{Block, ColumnName, Ending, Points};
 use super::source::Source;
 use super::text::{next_token, parse_f64, shown};
 use super::{Format, FormatError, Header, Limits, Reading};
-use densecloud_cloud::{Attribute, Kind, Origin, Values};
+use densecloud_cloud::{Kind, Values};
 
 /// What a line before the first vertex may begin with.
 const KEYWORDS: [&[u8]; 8] = [b"o", b"g", b"s", b"mtllib", b"usemtl", b"vn", b"vt", b"usemap"];
@@ -62,29 +61,9 @@ impl kind::Kind for Obj {
     }
 }
 
-impl Choices for Obj {
+impl ReadOnly for Obj {
     fn media_type(&self) -> &'static str {
         "model/obj"
-    }
-
-    fn of_result(&self, input: Format, _names: bool) -> Format {
-        input.written()
-    }
-
-    fn written(&self) -> Option<Format> {
-        Some(Ply::EXACT.into())
-    }
-
-    fn holds_comments(&self) -> bool {
-        false
-    }
-
-    fn is_streamed(&self) -> bool {
-        false
-    }
-
-    fn begin(&self, _points: u64, _attributes: &[Attribute], _origin: &Origin) -> Result<Begun, FormatError> {
-        Err(FormatError::read_only(self))
     }
 }
 

@@ -4,14 +4,13 @@ use std::fmt;
 use std::ops::Range;
 
 use super::columns::TextColumn;
-use super::kind::{Begun, Choices, Kind, Mark, Opened};
+use super::kind::{Kind, Mark, Opened, ReadOnly};
 use super::mesh::Polygons;
-use super::ply::Ply;
 use super::reader::{Block, Ending, Points};
 use super::source::Source;
 use super::text::{next_token, parse_f64, shown, strip_comment};
 use super::{Format, FormatError, Header, Limits, Place, Reading};
-use densecloud_cloud::{Attribute, Origin, Position};
+use densecloud_cloud::Position;
 use densecloud_geometry::Mesh;
 
 /// OFF, which has no choices.
@@ -42,29 +41,9 @@ impl Kind for Off {
     }
 }
 
-impl Choices for Off {
+impl ReadOnly for Off {
     fn media_type(&self) -> &'static str {
         "model/vnd.off"
-    }
-
-    fn of_result(&self, input: Format, _names: bool) -> Format {
-        input.written()
-    }
-
-    fn written(&self) -> Option<Format> {
-        Some(Ply::EXACT.into())
-    }
-
-    fn holds_comments(&self) -> bool {
-        false
-    }
-
-    fn is_streamed(&self) -> bool {
-        false
-    }
-
-    fn begin(&self, _points: u64, _attributes: &[Attribute], _origin: &Origin) -> Result<Begun, FormatError> {
-        Err(FormatError::read_only(self))
     }
 }
 

@@ -181,8 +181,8 @@ impl<'r> CloudReader<'r> {
     /// Replaces the block's points by the next ones, at most `rows` of them; false when all are read.
     ///
     /// Memory is that of the block and a buffer, whatever the file's length. Files whose points do not lie one after
-    /// another come in one block: compressed PCD, E57, OBJ, and NumPy arrays in Fortran order. LAS, LAZ and E57 need
-    /// to seek: a file given to [`open_file`](Self::open_file) is read where it lies; a stream is copied first, to memory
+    /// another come in one block: compressed PCD, E57, OBJ, and NumPy arrays in Fortran order. Of COLMAP's points the keys are
+    /// held to the end, 32 bytes a point. LAS, LAZ and E57 need to seek: a file given to [`open_file`](Self::open_file) is read where it lies; a stream is copied first, to memory
     /// up to 64 MiB and to a temporary file beyond.
     ///
     /// # Errors
@@ -264,8 +264,8 @@ fn narrowed(values: Values, kind: Kind) -> Values {
     }
 }
 
-/// Reads a cloud from a file, without limits. The content tells the format; the extension only keeps
-/// text that is named `.ply` from being taken for XYZ.
+/// Reads a cloud from a file, without limits. The content tells the format; where that is text or numbers alone, the name
+/// may: a `points3D.txt` is COLMAP's, and text that is named `.ply` is refused rather than taken for points.
 ///
 /// # Errors
 /// As [`CloudReader::open`] and [`CloudReader::read`], or the file cannot be opened.

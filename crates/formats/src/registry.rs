@@ -117,6 +117,11 @@ formats! {
     }
 }
 
+/// The format of a result where nobody names one and the input's is not written: it holds all that was read.
+pub(crate) fn usual(scalar: Scalar) -> Format {
+    Format::Ply { encoding: PlyEncoding::BinaryLittleEndian, scalar }
+}
+
 /// How a file is opened once its format is known.
 pub(crate) type Open = fn(&mut Source<'_>, Limits, &Reading) -> Result<Opened, FormatError>;
 

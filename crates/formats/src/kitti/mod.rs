@@ -5,11 +5,9 @@ mod read;
 
 use std::fmt;
 
-use super::kind::{Choices, Kind, Mark, Opened, Rows};
-use super::ply::Ply;
+use super::kind::{Kind, Mark, Opened, ReadOnly};
 use super::source::Source;
-use super::{Format, FormatError, Limits, Reading, Scalar};
-use densecloud_cloud::{Attribute, Origin};
+use super::{FormatError, Limits, Reading, Scalar};
 
 /// A sweep with its choices made.
 #[derive(Debug, Clone, Copy)]
@@ -39,38 +37,13 @@ impl Kind for Kitti {
     }
 }
 
-impl Choices for Kitti {
+impl ReadOnly for Kitti {
     fn media_type(&self) -> &'static str {
         "application/octet-stream"
     }
 
-    fn of_result(&self, input: Format, _names: bool) -> Format {
-        input.written()
-    }
-
-    fn written(&self) -> Option<Format> {
-        Some(Ply { scalar: Scalar::F32, ..Ply::EXACT }.into())
-    }
-
     fn scalar(&self) -> Scalar {
         Scalar::F32
-    }
-
-    fn holds_comments(&self) -> bool {
-        false
-    }
-
-    fn is_streamed(&self) -> bool {
-        false
-    }
-
-    fn begin(
-        &self,
-        _points: u64,
-        _attributes: &[Attribute],
-        _origin: &Origin,
-    ) -> Result<(Vec<u8>, Box<dyn Rows>), FormatError> {
-        Err(FormatError::read_only(self))
     }
 }
 

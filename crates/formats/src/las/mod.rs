@@ -17,9 +17,8 @@ mod seen;
 mod write;
 
 use std::fmt;
-use std::io::Seek;
 
-use super::kind::{Begun, Choices, FirstPass, Kind, Mark, Opened};
+use super::kind::{Begun, Choices, FirstPass, Kind, Mark, Opened, encoded};
 use super::source::Source;
 use super::spool::Spool;
 use super::{Format, FormatError, Limits, Reading};
@@ -138,10 +137,7 @@ impl Choices for Las {
         if self.compressed {
             return write::packed(*self, positions, attributes, origin);
         }
-        let mut file = Spool::new();
-        self.encode(&mut file, positions, attributes, origin)?;
-        file.rewind()?;
-        Ok(file)
+        encoded(self, positions, attributes, origin)
     }
 }
 

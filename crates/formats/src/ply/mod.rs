@@ -53,11 +53,6 @@ impl PlyEncoding {
     }
 }
 
-impl Ply {
-    /// What holds all that any reader gives: binary, little-endian, with 64-bit floats.
-    pub(super) const EXACT: Self = Self { encoding: PlyEncoding::BinaryLittleEndian, scalar: Scalar::F64 };
-}
-
 impl Kind for Ply {
     const MARK: Mark = Mark::Bytes(|head| {
         head.strip_prefix(b"ply").is_some_and(|rest| rest.first().is_none_or(u8::is_ascii_whitespace))

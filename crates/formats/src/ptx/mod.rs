@@ -5,12 +5,10 @@ mod read;
 
 use std::fmt;
 
-use super::kind::{Choices, Kind, Mark, Opened, Rows};
-use super::ply::Ply;
+use super::kind::{Kind, Mark, Opened, ReadOnly};
 use super::source::Source;
 use super::text::{next_token, parse_f64};
-use super::{Format, FormatError, Limits, Reading};
-use densecloud_cloud::{Attribute, Origin};
+use super::{FormatError, Limits, Reading};
 
 /// PTX, which has no choices.
 #[derive(Debug, Clone, Copy)]
@@ -41,34 +39,9 @@ impl Kind for Ptx {
     }
 }
 
-impl Choices for Ptx {
+impl ReadOnly for Ptx {
     fn media_type(&self) -> &'static str {
         "text/plain; charset=utf-8"
-    }
-
-    fn of_result(&self, input: Format, _names: bool) -> Format {
-        input.written()
-    }
-
-    fn written(&self) -> Option<Format> {
-        Some(Ply::EXACT.into())
-    }
-
-    fn holds_comments(&self) -> bool {
-        false
-    }
-
-    fn is_streamed(&self) -> bool {
-        false
-    }
-
-    fn begin(
-        &self,
-        _points: u64,
-        _attributes: &[Attribute],
-        _origin: &Origin,
-    ) -> Result<(Vec<u8>, Box<dyn Rows>), FormatError> {
-        Err(FormatError::read_only(self))
     }
 }
 

@@ -3,6 +3,7 @@
 use std::cell::Cell;
 use std::fs::File;
 use std::io::{self, Read, Write};
+use std::path::Path;
 
 use super::*;
 use densecloud_cloud::{Kind, Origin};
@@ -16,7 +17,26 @@ fn streamed() -> Vec<Format> {
     let pcd = |encoding| Format::Pcd { encoding, scalar: Scalar::F32 };
     let mut formats = ENCODINGS.map(|encoding| ply(encoding, Scalar::F32)).to_vec();
     formats.extend([pcd(PcdEncoding::Ascii), pcd(PcdEncoding::Binary), Format::TEXT, NPY]);
+    formats.extend([false, true].map(|binary| Format::Colmap { binary }));
     formats
+}
+
+/// A file that is not written here: the name that it is read by, what stands before its points, and one of them.
+type Foreign = (&'static str, Vec<u8>, Vec<u8>);
+
+/// Of formats that are read only and whose points lie one after another, files of this many points.
+fn read_only(points: u64) -> [Foreign; 3] {
+    let pose = "0 0 0\n1 0 0\n0 1 0\n0 0 1\n1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n";
+    let number = |v: f32| v.to_le_bytes();
+    [
+        ("ptx", format!("{points}\n1\n{pose}").into_bytes(), b"1 2 3 0.25 255 0 7\n".to_vec()),
+        ("kitti", Vec::new(), [1.5, -2.0, 0.25, 0.5].map(number).concat()),
+        ("off", format!("COFF\n{points} 0 0\n").into_bytes(), b"1 2 3 0.5 0 1\n".to_vec()),
+    ]
+}
+
+fn read_as(format: &str) -> Reading {
+    Reading { format: Some(format.parse().expect("a format")), ..Reading::default() }
 }
 
 /// A cloud with attributes whose type only all of their numbers tell.
@@ -27,6 +47,7 @@ fn cloud(points: usize) -> Cloud {
         attribute("red", Values::U8((0..points).map(|i| i as u8).collect())),
         attribute("green", Values::U8((0..points).map(|i| (i / 7) as u8).collect())),
         attribute("blue", Values::U8(vec![3; points])),
+        attribute("error", Values::F64((0..points).map(|i| i as f64 / 16.0).collect())),
         attribute("curvature", Values::F32((0..points).map(|i| i as f32 / 8.0).collect())),
     ];
     Cloud { positions, attributes, ..Cloud::default() }
@@ -72,6 +93,15 @@ fn blocks_are_what_is_read_at_once() {
         for rows in [1, 7, 999, 1000, 5000] {
             let reader = CloudReader::open(&bytes[..], Limits::default()).expect("a header");
             assert!(joined(reader, rows).expect("a cloud") == whole, "{format}, {rows} rows");
+        }
+    }
+    for (format, header, row) in read_only(1000) {
+        let bytes = [header, row.repeat(1000)].concat();
+        let open =
+            || CloudReader::open_as(&bytes[..], Limits::default(), &read_as(format)).expect("a header");
+        let whole = open().read().expect("a cloud");
+        for rows in [1, 7, 999, 1000, 5000] {
+            assert!(joined(open(), rows).expect("a cloud") == whole, "{format}, {rows} rows");
         }
     }
 }
@@ -123,20 +153,25 @@ fn a_long_file_is_not_read_further_than_its_points_are_given() {
     // More than the reader's buffer.
     const AHEAD: u64 = 1 << 20;
     let one = cloud(1);
-    for format in streamed() {
+    let written = streamed().into_iter().map(|format| {
         let begun = |points: &[Position]| {
+            let mut plan = CloudPlan::new(format, &one.attributes, &Origin::default());
+            (0..POINTS).for_each(|_| plan.see(&one.positions, &one.attributes, 0).expect("a place"));
             let mut bytes = Vec::new();
-            let origin = Origin::default();
-            let writer = CloudWriter::with(&mut bytes, format, POINTS, &one.attributes, &origin);
+            let writer = plan.begin(&mut bytes);
             writer.and_then(|mut writer| writer.write_rows(points, &one.attributes, 0)).expect("a row");
             bytes
         };
         let (header, with_row) = (begun(&[]), begun(&one.positions));
-        let row = &with_row[header.len()..];
+        let row = with_row[header.len()..].to_vec();
+        (format.to_string(), Reading::default(), header, row)
+    });
+    let foreign = read_only(POINTS).map(|(name, header, row)| (name.to_owned(), read_as(name), header, row));
+    for (format, reading, header, row) in written.chain(foreign) {
         let length = header.len() as u64 + POINTS * row.len() as u64;
         let given = Cell::new(0);
-        let made = Made { header: &header, row, length, given: &given };
-        let mut reader = CloudReader::open(made, Limits::default()).expect("a header");
+        let made = Made { header: &header, row: &row, length, given: &given };
+        let mut reader = CloudReader::open_as(made, Limits::default(), &reading).expect("a header");
         let (mut block, mut points) = (Block::default(), 0);
         while reader.next_block(ROWS, &mut block).expect("a block") {
             points += block.positions.len() as u64;
@@ -270,22 +305,49 @@ fn a_spooled_file_is_the_same() {
 #[test]
 fn no_other_file_names_a_format() {
     let source = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
-    let names = ["e57", "las", "npy", "pcd", "obj", "xyz", "ptx", "colmap", "kitti", "nuscenes"];
+    // The list of modules, the registry, meshes, the tests, and what others are to be converted to.
+    let may_name = ["lib.rs", "registry.rs", "mesh.rs", "tests.rs", "known.rs"];
+    let mut own = vec!["tests".to_owned()];
+    for module in FORMATS {
+        own.extend([module.to_owned(), format!("{module}.rs")]);
+    }
+    let mut found = 0;
     for entry in std::fs::read_dir(&source).expect("the source") {
         let path = entry.expect("an entry").path();
-        let stem = path.file_stem().and_then(|stem| stem.to_str()).expect("a name").to_owned();
-        // The list of modules, the registry, formats of one file, and what others are to be converted to.
-        let is_its_own = ["lib", "registry", "tests", "obj", "off", "known"].contains(&stem.as_str());
-        if is_its_own || path.extension().is_none_or(|extension| extension != "rs") {
+        let name = path.file_name().and_then(|name| name.to_str()).expect("a name").to_owned();
+        if may_name.contains(&name.as_str()) {
             continue;
         }
-        let text = std::fs::read_to_string(&path).expect("a file");
-        // Comments and messages may.
-        let code = |line: &&str| !["//", "\""].iter().any(|begin| line.trim_start().starts_with(begin));
-        for line in text.lines().filter(code) {
-            let words = || line.split(|c: char| !c.is_alphanumeric()).map(str::to_lowercase);
-            let named = names.iter().find(|name| words().any(|word| word == **name));
-            assert!(named.is_none(), "{}: {line}", path.display());
+        let is_format = own.contains(&name);
+        found += usize::from(is_format && name != "tests");
+        assert!(is_format || path.is_file(), "{}: a folder of no format", path.display());
+        if name != "tests" {
+            names_none(&path, name.trim_end_matches(".rs"));
         }
+    }
+    assert_eq!(found, FORMATS.len());
+}
+
+/// The modules of formats.
+const FORMATS: [&str; 11] =
+    ["ply", "las", "pcd", "npy", "e57", "off", "obj", "ptx", "colmap", "kitti", "xyz"];
+
+/// Asserts that no code in a file or folder, that of the format `own`, names another format's module or type.
+fn names_none(path: &Path, own: &str) {
+    if path.is_dir() {
+        let entries = std::fs::read_dir(path).expect("a folder");
+        return entries.for_each(|entry| names_none(&entry.expect("an entry").path(), own));
+    }
+    let text = std::fs::read_to_string(path).expect("a file");
+    // Comments, messages and the tests in it may, and a file's kind may be asked for.
+    let code = text.split("#[cfg(test)]\nmod tests").next().unwrap_or_default();
+    let is_code = |line: &&str| {
+        !["//", "\""].iter().any(|begin| line.trim_start().starts_with(begin))
+            && !line.contains("is_named_in")
+    };
+    for line in code.lines().filter(is_code) {
+        let words = || line.split(|c: char| !c.is_alphanumeric() && c != '_').map(str::to_lowercase);
+        let named = FORMATS.iter().find(|name| **name != own && words().any(|word| word == **name));
+        assert!(named.is_none(), "{}: {line}", path.display());
     }
 }
