@@ -34,7 +34,7 @@ impl Format {
         let (colour, others) = {
             let meanings = Meanings::of(attributes);
             // The places of whole numbers have this program's names in all formats.
-            let place = |role: &&Role| meanings.fills(**role, role.name());
+            let place = |role: &&Role| meanings.usual(**role);
             let is_colour = |role: &&Role| COLOUR.contains(role);
             let is_whole = COLOUR[..3].iter().all(|role| whole.contains(role) && place(&role).is_some());
             let colour: Vec<usize> = whole.iter().filter(is_colour).filter_map(|role| place(&role)).collect();

@@ -40,6 +40,26 @@ pub struct Limits {
     pub max_points: Option<u64>,
 }
 
+impl Limits {
+    /// # Errors
+    /// [`FormatError::TooManyPoints`] for more points than these.
+    pub(super) fn check_points(self, points: u64) -> Result<(), FormatError> {
+        match self.max_points {
+            Some(limit) if points > limit => Err(FormatError::TooManyPoints { points, limit }),
+            _ => Ok(()),
+        }
+    }
+
+    /// # Errors
+    /// [`FormatError::TooLarge`] for more bytes than these.
+    pub(super) fn check_bytes(self, bytes: u64) -> Result<(), FormatError> {
+        match self.max_bytes {
+            Some(limit) if bytes > limit => Err(FormatError::TooLarge { bytes, limit }),
+            _ => Ok(()),
+        }
+    }
+}
+
 impl Format {
     /// The format that a file's extension asks for: `ply` is binary, little-endian, with 32-bit
     /// floats; `xyz`, `txt`, `asc`, `pts` and `pwn` are text without names, with spaces, and `csv` with

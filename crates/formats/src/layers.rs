@@ -29,7 +29,7 @@ enum Packed<'r> {
 struct Raw<'r> {
     input: Input<'r>,
     pulled: u64,
-    max_bytes: Option<u64>,
+    limits: Limits,
     hash: Sha256,
 }
 
@@ -37,7 +37,7 @@ struct Raw<'r> {
 struct Expanded<'r> {
     decoder: MultiGzDecoder<Ahead<Raw<'r>>>,
     expanded: u64,
-    max_bytes: Option<u64>,
+    limits: Limits,
 }
 
 /// Lets the first bytes be looked at before they are read.
@@ -65,14 +65,14 @@ impl<'r> Layers<'r> {
         transcode: bool,
         is_known: fn(&[u8]) -> bool,
     ) -> Result<Self, FormatError> {
-        let raw = Raw { input, pulled: 0, max_bytes: limits.max_bytes, hash: Sha256::new() };
+        let raw = Raw { input, pulled: 0, limits, hash: Sha256::new() };
         let mut raw = Ahead { inner: raw, bytes: Vec::new() };
         // Magic, deflate, and no flag that is reserved.
         let head = raw.peek().map_err(unwrapped)?;
         let is_gzip = matches!(head, [0x1F, 0x8B, 8, 0..0x20, ..]) && !is_known(head);
         let packed = if is_gzip {
             let decoder = MultiGzDecoder::new(raw);
-            Packed::Gzip(Box::new(Expanded { decoder, expanded: 0, max_bytes: limits.max_bytes }))
+            Packed::Gzip(Box::new(Expanded { decoder, expanded: 0, limits }))
         } else {
             Packed::Plain(raw)
         };
@@ -142,17 +142,14 @@ fn unwrapped(error: io::Error) -> FormatError {
     }
 }
 
-fn too_large(bytes: u64, max_bytes: Option<u64>) -> io::Result<()> {
-    match max_bytes {
-        Some(limit) if bytes > limit => Err(io::Error::other(FormatError::TooLarge { bytes, limit })),
-        _ => Ok(()),
-    }
+fn check_bytes(bytes: u64, limits: Limits) -> io::Result<()> {
+    limits.check_bytes(bytes).map_err(io::Error::other)
 }
 
 impl Read for Raw<'_> {
     fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
         let mut room = bytes.len();
-        if let Some(max) = self.max_bytes {
+        if let Some(max) = self.limits.max_bytes {
             // One byte more than allowed tells a file at the limit from one beyond it.
             let left = max.saturating_sub(self.pulled).saturating_add(1);
             room = room.min(usize::try_from(left).unwrap_or(usize::MAX));
@@ -165,7 +162,7 @@ impl Read for Raw<'_> {
         };
         self.hash.update(&bytes[..got]);
         self.pulled += got as u64;
-        too_large(self.pulled, self.max_bytes)?;
+        check_bytes(self.pulled, self.limits)?;
         Ok(got)
     }
 }
@@ -196,7 +193,7 @@ impl Read for Expanded<'_> {
             }
         })?;
         self.expanded += got as u64;
-        too_large(self.expanded, self.max_bytes)?;
+        check_bytes(self.expanded, self.limits)?;
         Ok(got)
     }
 }

@@ -61,21 +61,38 @@ impl NameRule<'_> {
 }
 
 /// Gives names, each another.
-#[derive(Default)]
 pub(crate) struct Apart {
+    /// The number of the first end.
+    first: usize,
     given: HashSet<String>,
     /// Of names that several want, how many ends of each were tried.
     tried: HashMap<String, usize>,
 }
 
+impl Default for Apart {
+    /// With `_`, `_2`, `_3` or whatever is free behind a name that another has.
+    fn default() -> Self {
+        Self { first: 1, given: HashSet::new(), tried: HashMap::new() }
+    }
+}
+
 impl Apart {
+    /// With `_2`, `_3` or whatever is free behind a name that another has.
+    pub(crate) fn numbered() -> Self {
+        Self { first: 2, ..Self::default() }
+    }
+
     /// The names; of those that are the same, the later ones with an end that no other has.
     pub(crate) fn all<S: AsRef<str>>(names: &[S]) -> Vec<String> {
-        let mut apart = Self::default();
-        let is_first: Vec<bool> = names.iter().map(|name| apart.keep(name.as_ref())).collect();
+        Self::default().rest(names)
+    }
+
+    /// As [`all`](Self::all), beside those that are given.
+    pub(crate) fn rest<S: AsRef<str>>(mut self, names: &[S]) -> Vec<String> {
+        let is_first: Vec<bool> = names.iter().map(|name| self.keep(name.as_ref())).collect();
         let names = names.iter().map(AsRef::as_ref).zip(is_first);
         let name =
-            |(name, is_first): (&str, bool)| if is_first { name.to_owned() } else { apart.another(name) };
+            |(name, is_first): (&str, bool)| if is_first { name.to_owned() } else { self.another(name) };
         names.map(name).collect()
     }
 
@@ -84,7 +101,7 @@ impl Apart {
         self.given.insert(name.to_owned())
     }
 
-    /// The name, or, where another has it, the name with `_`, `_2`, `_3` or whatever is free behind it.
+    /// The name, or, where another has it, the name with an end.
     pub(crate) fn another(&mut self, wanted: &str) -> String {
         self.free(wanted, usize::MAX, &|_| false)
     }
@@ -97,7 +114,7 @@ impl Apart {
         };
         let mut number = self.tried.get(wanted).copied().unwrap_or(0);
         while self.given.contains(&named(number)) || is_taken(&named(number)) {
-            number += 1;
+            number = (number + 1).max(self.first);
         }
         // So that a thousand of one name are no million tries.
         self.tried.insert(wanted.to_owned(), number + 1);
@@ -160,6 +177,11 @@ impl<'a> Meanings<'a> {
         let meaning = || (0..self.names.len()).filter(|i| self.roles[*i] == Some(role));
         let usual = || meaning().find(|i| self.names[*i] == role.name());
         self.called(own).or_else(usual).or_else(|| meaning().next())
+    }
+
+    /// The column for what a format calls as this program does.
+    pub(crate) fn usual(&self, role: Role) -> Option<usize> {
+        self.fills(role, role.name())
     }
 
     fn called(&self, name: &str) -> Option<usize> {

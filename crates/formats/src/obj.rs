@@ -111,11 +111,7 @@ fn read(source: &mut Source<'_>, limits: Limits, to: &mut Block) -> Result<Endin
         match next_token(&mut rest).unwrap_or_default() {
             b"v" => {
                 to.positions.push(three(source, &mut rest)?);
-                if let Some(limit) = limits.max_points
-                    && to.positions.len() as u64 > limit
-                {
-                    return Err(FormatError::TooManyPoints { points: to.positions.len() as u64, limit });
-                }
+                limits.check_points(to.positions.len() as u64)?;
                 // One number more is a weight.
                 let mut others: [&[u8]; 3] = [b""; 3];
                 let mut tokens = std::iter::from_fn(|| next_token(&mut rest));

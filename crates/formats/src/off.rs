@@ -127,11 +127,7 @@ impl OffHeader {
     fn open(source: &mut Source<'_>, limits: Limits) -> Result<(Self, Header), FormatError> {
         let off = Self::parse(source)?;
         let points = u64::from(off.vertices);
-        if let Some(limit) = limits.max_points
-            && points > limit
-        {
-            return Err(FormatError::TooManyPoints { points, limit });
-        }
+        limits.check_points(points)?;
         let attributes = off.names().iter().map(|name| (*name).to_owned()).collect();
         let dropped = [(off.faces > 0, "face"), (off.textures, "texture coordinates")];
         let dropped = dropped.into_iter().filter(|(is_there, _)| *is_there);

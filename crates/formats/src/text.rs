@@ -131,7 +131,8 @@ pub(super) fn shown(token: &[u8]) -> String {
     if token.len() > MOST { format!("`{text}…`") } else { format!("`{text}`") }
 }
 
-fn is_space(b: u8) -> bool {
+/// Whether a byte is white space: as in C, a vertical tab too.
+pub(super) fn is_space(b: u8) -> bool {
     matches!(b, b' ' | b'\t' | b'\r' | b'\n' | 0x0B | 0x0C)
 }
 

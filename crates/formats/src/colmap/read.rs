@@ -15,7 +15,7 @@ const NO_KEY: u64 = u64::MAX;
 
 /// The points of a file.
 pub(super) struct ColmapPoints {
-    max_points: Option<u64>,
+    limits: Limits,
     /// How many records there are by the count before them; none in text.
     claimed: Option<u64>,
     /// The line of a comment that counts the points of text, and the count.
@@ -45,17 +45,9 @@ impl ColmapPoints {
         let head = source.peek(ENOUGH)?;
         let binary = !has_title(head) && super::super::known::is_binary(head);
         let claimed = if binary { Some(count(source)?) } else { None };
-        if let (Some(points), Some(limit)) = (claimed, limits.max_points)
-            && points > limit
-        {
-            return Err(FormatError::TooManyPoints { points, limit });
-        }
+        limits.check_points(claimed.unwrap_or(0))?;
         let bytes = claimed.map_or(0, |points| points.saturating_mul(RECORD as u64));
-        if let Some(limit) = limits.max_bytes
-            && bytes > limit
-        {
-            return Err(FormatError::TooLarge { bytes, limit });
-        }
+        limits.check_bytes(bytes)?;
         let names = [ID].into_iter().chain(COLOUR).chain([ERROR]);
         let header = Header {
             format: Format::Colmap { binary },
@@ -64,7 +56,7 @@ impl ColmapPoints {
             dropped_properties: Vec::new(),
         };
         let points = Self {
-            max_points: limits.max_points,
+            limits,
             claimed,
             counted: None,
             given: 0,
@@ -170,11 +162,7 @@ impl Points for ColmapPoints {
         for _ in 0..rows {
             let Some(record) = self.next(source)? else { break };
             self.put(&record, to);
-            if let Some(limit) = self.max_points
-                && self.given > limit
-            {
-                return Err(FormatError::TooManyPoints { points: self.given, limit });
-            }
+            self.limits.check_points(self.given)?;
         }
         Ok(())
     }

@@ -5,9 +5,10 @@ use std::ops::Range;
 
 use super::super::FormatError;
 use super::super::kind::{Begun, FirstPass, Rows};
+use super::super::names::Meanings;
 use super::ids::NewKeys;
 use super::{ID, NO_ERROR, TITLE};
-use densecloud_cloud::{Attribute, Origin, Position, Role, column_of};
+use densecloud_cloud::{Attribute, Origin, Position, Role};
 
 /// What is known of the points before the first one is written.
 pub(super) struct Seen {
@@ -22,13 +23,14 @@ pub(super) struct Seen {
 impl Seen {
     /// Nothing, of points with attributes of these names and types.
     pub(super) fn new(binary: bool, attributes: &[Attribute], origin: &Origin) -> Self {
+        let meanings = Meanings::of(attributes);
         Self {
             binary,
             points: 0,
             comments: origin.comments.clone(),
             keys: NewKeys::new(origin),
-            colour: Colour::find(attributes),
-            error: find(attributes, Role::Error),
+            colour: Colour::find(attributes, &meanings),
+            error: meanings.usual(Role::Error),
         }
     }
 }
@@ -107,23 +109,18 @@ fn title(points: u64, comments: &[String]) -> Vec<u8> {
 
 /// Names of attributes that have no place.
 pub(super) fn not_held(attributes: &[Attribute], origin: &Origin) -> Vec<String> {
-    let colour = Colour::find(attributes).map(|mut colour| {
+    let meanings = Meanings::of(attributes);
+    let colour = Colour::find(attributes, &meanings).map(|mut colour| {
         colour.see(attributes, 0..attributes.first().map_or(0, |first| first.values.len()));
         colour
     });
     let places =
         colour.filter(|colour| colour.white().is_some()).map_or([usize::MAX; 3], |colour| colour.places);
-    let error = find(attributes, Role::Error);
+    let error = meanings.usual(Role::Error);
     let has_keys = NewKeys::new(origin).has_source();
     let is_held = |i: usize, name: &str| places.contains(&i) || error == Some(i) || name == ID && has_keys;
     let lost = attributes.iter().enumerate().filter(|(i, a)| !is_held(*i, &a.name));
     lost.map(|(_, a)| a.name.clone()).collect()
-}
-
-/// The place of the attribute that means this.
-fn find(attributes: &[Attribute], role: Role) -> Option<usize> {
-    let names: Vec<&str> = attributes.iter().map(|a| a.name.as_str()).collect();
-    column_of(&names, role)
 }
 
 /// The attributes that are a colour.
@@ -138,9 +135,9 @@ struct Colour {
 
 impl Colour {
     /// The colour, if there is one; none of its numbers is seen.
-    fn find(attributes: &[Attribute]) -> Option<Self> {
-        let find = |role| find(attributes, role);
-        let places = [find(Role::Red)?, find(Role::Green)?, find(Role::Blue)?];
+    fn find(attributes: &[Attribute], meanings: &Meanings) -> Option<Self> {
+        let [red, green, blue] = [Role::Red, Role::Green, Role::Blue].map(|part| meanings.usual(part));
+        let places = [red?, green?, blue?];
         let is_real = places.iter().all(|place| attributes[*place].values.kind().is_float());
         Some(Self { places, is_real, most: 0.0 })
     }

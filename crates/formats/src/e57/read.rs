@@ -211,11 +211,7 @@ fn check(scans: &[PointCloud], length: u64, limits: Limits) -> Result<(), Refusa
         points = points.saturating_add(scan.records);
         bits = bits.saturating_add(scan.records.saturating_mul(row));
     }
-    if let Some(limit) = limits.max_points
-        && points > limit
-    {
-        return Err(Refusal::TooMany(FormatError::TooManyPoints { points, limit }));
-    }
+    limits.check_points(points).map_err(Refusal::TooMany)?;
     if bits / 8 > length {
         let why = format!("the description counts {points} points, more than the file has room for");
         return Err(Refusal::Contradiction(why));

@@ -19,7 +19,7 @@ const RINGS: f32 = 1024.0;
 pub(super) struct KittiPoints {
     names: &'static [&'static str],
     format: Kitti,
-    max_points: Option<u64>,
+    limits: Limits,
     /// Points given.
     given: u64,
 }
@@ -41,7 +41,7 @@ impl KittiPoints {
             attributes: names.iter().map(|name| (*name).to_owned()).collect(),
             dropped_properties: Vec::new(),
         };
-        Ok((Self { names, format, max_points: limits.max_points, given: 0 }, header))
+        Ok((Self { names, format, limits, given: 0 }, header))
     }
 
     /// Bytes of a point.
@@ -103,12 +103,7 @@ impl Points for KittiPoints {
         source.consume(rows * stride);
         self.check(&to.columns, rows, self.given)?;
         self.given += rows as u64;
-        match self.max_points {
-            Some(limit) if self.given > limit => {
-                Err(FormatError::TooManyPoints { points: self.given, limit })
-            }
-            _ => Ok(()),
-        }
+        self.limits.check_points(self.given)
     }
 
     fn finish(self: Box<Self>, _source: &mut Source<'_>) -> Result<Ending, FormatError> {

@@ -29,11 +29,7 @@ pub(super) fn open(source: &mut Source<'_>, limits: Limits) -> Result<Header, Fo
         return Err(FormatError::truncated(Place::Byte(head.len() as u64), "the LAS header is incomplete"));
     }
     let points = Counts::of(head).points();
-    if let Some(limit) = limits.max_points
-        && points > limit
-    {
-        return Err(FormatError::TooManyPoints { points, limit });
-    }
+    limits.check_points(points)?;
     Ok(Header {
         // The top bits of the point format mean compression.
         format: Format::Las { compressed: head[104] & 0xC0 != 0 },

@@ -57,17 +57,9 @@ impl NpyPoints {
         let at = source.offset();
         let text = header_text(source)?;
         let (npy, dropped_properties) = Self::parse(&text).map_err(|why| FormatError::malformed(at, why))?;
-        if let Some(limit) = limits.max_points
-            && npy.points > limit
-        {
-            return Err(FormatError::TooManyPoints { points: npy.points, limit });
-        }
+        limits.check_points(npy.points)?;
         let bytes = npy.points.saturating_mul(npy.stride as u64);
-        if let Some(limit) = limits.max_bytes
-            && bytes > limit
-        {
-            return Err(FormatError::TooLarge { bytes, limit });
-        }
+        limits.check_bytes(bytes)?;
         let narrow = npy.axes.iter().all(|axis| npy.fields[*axis].number.kind.fits_f32());
         let scalar = if narrow { Scalar::F32 } else { Scalar::F64 };
         let header = Header {

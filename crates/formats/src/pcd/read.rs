@@ -91,11 +91,7 @@ impl PcdPoints {
                         Self::parse(&lines).map_err(|why| FormatError::malformed(source.line(), why))?;
                     let Origin { sensor, orientation, .. } = header.origin;
                     header.origin = Origin { sensor, orientation, ..origin };
-                    if let Some(limit) = limits.max_points
-                        && header.points > limit
-                    {
-                        return Err(FormatError::TooManyPoints { points: header.points, limit });
-                    }
+                    limits.check_points(header.points)?;
                     let told = header.told();
                     return Ok((header, told));
                 }

@@ -28,16 +28,8 @@ pub(super) fn describe(
         return Err(FormatError::malformed(source.line(), why));
     }
     let axes = axes(source, vertex)?;
-    if let Some(limit) = limits.max_points
-        && vertex.count > limit
-    {
-        return Err(FormatError::TooManyPoints { points: vertex.count, limit });
-    }
-    if let Some(limit) = limits.max_bytes
-        && header.min_len() > limit
-    {
-        return Err(FormatError::TooLarge { bytes: header.min_len(), limit });
-    }
+    limits.check_points(vertex.count)?;
+    limits.check_bytes(header.min_len())?;
     let (mut attributes, mut dropped_properties) = (Vec::new(), Vec::new());
     for (i, element) in header.elements.iter().enumerate() {
         if i == at {

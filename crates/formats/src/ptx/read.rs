@@ -20,7 +20,7 @@ const SCAN: &str = "scan";
 
 /// The scans of a file, one after another.
 pub(super) struct PtxPoints {
-    max_points: Option<u64>,
+    limits: Limits,
     scan: Scan,
     /// The scans before.
     sensors: Vec<Option<Position>>,
@@ -55,7 +55,7 @@ impl PtxPoints {
     pub(super) fn open(source: &mut Source<'_>, limits: Limits) -> Result<(Self, Header), FormatError> {
         let scan = Scan::open(source)?.ok_or(FormatError::Empty("points"))?;
         let points = Self {
-            max_points: limits.max_points,
+            limits,
             scan,
             sensors: Vec::new(),
             others: std::array::from_fn(|_| TextColumn::new()),
@@ -93,12 +93,7 @@ impl PtxPoints {
             return Ok(());
         }
         self.put(line, to).map_err(|why| FormatError::malformed(source.line(), why))?;
-        match self.max_points {
-            Some(limit) if self.given > limit => {
-                Err(FormatError::TooManyPoints { points: self.given, limit })
-            }
-            _ => Ok(()),
-        }
+        self.limits.check_points(self.given)
     }
 
     /// Appends the point of a line, unless nothing came back there.

@@ -133,3 +133,14 @@ fn more_columns_than_a_cloud_has_are_refused() {
         }
     }
 }
+
+#[test]
+fn a_thousand_names_that_text_writes_alike_are_told_apart() {
+    let attributes =
+        (1..900).map(|i| column(&format!("a{}", "\u{1}".repeat(i)), Values::U8(vec![7]))).collect();
+    let cloud = Cloud { positions: vec![[1.0; 3]], attributes, ..Cloud::default() };
+    let text = Format::Xyz { names: true, separator: Separator::Comma, decimal: Decimal::Point };
+    let back = read(&written(&cloud, text)).expect("a cloud");
+    let names: Vec<&str> = back.attributes.iter().map(|a| a.name.as_str()).collect();
+    assert_eq!((names[..3].to_vec(), names[898]), (vec!["a", "a_2", "a_3"], "a_899"));
+}

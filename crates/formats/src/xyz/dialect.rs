@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use super::super::columns::MAX_COLUMNS;
-use super::super::text::{parse_f64, shown};
+use super::super::text::{is_space, parse_f64, shown};
 use super::{Decimal, Separator};
 
 /// What a file's lines are made of: decided once.
@@ -156,10 +156,6 @@ fn fortran(field: &[u8]) -> Option<f64> {
     let mut copy = field.to_vec();
     copy[at] = b'e';
     parse_f64(&copy)
-}
-
-pub(super) fn is_space(b: u8) -> bool {
-    matches!(b, b' ' | b'\t' | b'\r' | b'\n' | 0x0B | 0x0C)
 }
 
 fn begins_comment(rest: &[u8]) -> bool {

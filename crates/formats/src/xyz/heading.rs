@@ -1,9 +1,8 @@
 //! A line that names the columns, and how it comes back.
 
-use std::collections::HashSet;
-
 use densecloud_cloud::{Axes, FormatExtra, Role, axes_of};
 
+use super::super::names::Apart;
 use super::super::text::split_quoted;
 use super::Separator;
 
@@ -93,38 +92,20 @@ impl Heading {
 
     /// Gives a name to columns without one and makes names unique; tells what was changed, a sentence each.
     pub(super) fn mend(&mut self) -> Vec<String> {
-        let mut notes = Vec::new();
-        let mut taken: HashSet<String> = HashSet::new();
-        let given: HashSet<String> = self.names.iter().cloned().collect();
-        for (i, name) in self.names.iter_mut().enumerate() {
-            if name.is_empty() {
+        let (mut notes, mut apart) = (Vec::new(), Apart::numbered());
+        let stays: Vec<bool> = self.names.iter().map(|name| !name.is_empty() && apart.keep(name)).collect();
+        for (i, name) in self.names.iter_mut().enumerate().filter(|(i, _)| !stays[*i]) {
+            let (wanted, why) = match (name.as_str(), i) {
                 // pandas writes the index of its rows so.
-                let new = if i == 0 { "index".to_owned() } else { format!("column {}", i + 1) };
-                *name = unique(&new, |name| given.contains(name) || taken.contains(name));
-                notes.push(format!("column {} has no name; it is called `{name}`", i + 1));
-            } else if taken.contains(name) {
-                let new = unique(name, |name| given.contains(name) || taken.contains(name));
-                notes.push(format!(
-                    "column {} has the name `{name}` of an earlier one; it is called `{new}`",
-                    i + 1
-                ));
-                *name = new;
-            }
-            taken.insert(name.clone());
+                ("", 0) => ("index".to_owned(), "has no name".to_owned()),
+                ("", _) => (format!("column {}", i + 1), "has no name".to_owned()),
+                (twice, _) => (twice.to_owned(), format!("has the name `{twice}` of an earlier one")),
+            };
+            *name = apart.another(&wanted);
+            notes.push(format!("column {} {why}; it is called `{name}`", i + 1));
         }
         notes
     }
-}
-
-/// The name, with a number behind it where it is taken.
-pub(super) fn unique(name: &str, is_taken: impl Fn(&str) -> bool) -> String {
-    let mut new = name.to_owned();
-    let mut number = 2;
-    while is_taken(&new) {
-        new = format!("{name}_{number}");
-        number += 1;
-    }
-    new
 }
 
 /// The text of a line: UTF-8, or else Latin-1, which has a character for each byte.

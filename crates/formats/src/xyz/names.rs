@@ -1,12 +1,11 @@
 //! The line of names that is written: such that this program, and others, read the same columns again.
 
-use std::collections::HashSet;
-
 use densecloud_cloud::{Attribute, Origin, Role, axes_of};
 
+use super::super::names::Apart;
 use super::super::numbers::one_word;
 use super::Separator;
-use super::heading::{Style, unique};
+use super::heading::Style;
 
 /// A line of names, and what is told of it.
 pub(super) struct Line {
@@ -50,20 +49,9 @@ fn written(axes: &[String; 3], others: &[String]) -> Option<Vec<String>> {
 
 /// The others, no two the same and none as one of the coordinates.
 fn unique_all(axes: &[String; 3], others: &[String]) -> Vec<String> {
-    let given: HashSet<&String> = others.iter().collect();
-    let mut taken: HashSet<String> = axes.iter().cloned().collect();
-    let mut all = Vec::with_capacity(others.len());
-    for name in others {
-        let is_taken = |name: &str| taken.contains(name);
-        let name = if is_taken(name) {
-            unique(name, |new| is_taken(new) || given.iter().any(|given| *given == new))
-        } else {
-            name.clone()
-        };
-        taken.insert(name.clone());
-        all.push(name);
-    }
-    all
+    let mut apart = Apart::numbered();
+    axes.iter().for_each(|axis| _ = apart.keep(axis));
+    apart.rest(others)
 }
 
 /// Whether a name could be taken for a coordinate's.

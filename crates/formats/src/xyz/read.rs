@@ -31,7 +31,7 @@ pub(super) struct XyzPoints {
     /// What the file begins with, for the error that no line is a point.
     begins: Option<String>,
     sample: Sample,
-    max_points: Option<u64>,
+    limits: Limits,
     /// Points read.
     count: u64,
     /// The other columns, and their places in a line.
@@ -101,7 +101,7 @@ impl XyzPoints {
             layout: None,
             begins,
             sample: Sample::default(),
-            max_points: limits.max_points,
+            limits,
             count: 0,
             others: Vec::new(),
             guess: Guess::default(),
@@ -119,11 +119,7 @@ impl XyzPoints {
         points.sample = sample;
         points.clouds.counted = layout.counted;
         let claimed = layout.counted.map(|(_, count)| count);
-        if let (Some(limit), Some(claimed)) = (limits.max_points, claimed)
-            && claimed > limit
-        {
-            return Err(FormatError::TooManyPoints { points: claimed, limit });
-        }
+        limits.check_points(claimed.unwrap_or(0))?;
         let others = (0..layout.width).filter(|i| !layout.axes.contains(i));
         points.others = others.map(|i| (i, TextColumn::new())).collect();
         let Dialect { separator, decimal, .. } = layout.dialect;
@@ -228,12 +224,8 @@ impl XyzPoints {
         }
         to.positions.push(position);
         self.count += 1;
-        match self.max_points {
-            Some(limit) if self.count > limit => {
-                Err(FormatError::TooManyPoints { points: self.count, limit })
-            }
-            _ => Ok(true),
-        }
+        self.limits.check_points(self.count)?;
+        Ok(true)
     }
 
     /// Takes note of all numbers of a line.

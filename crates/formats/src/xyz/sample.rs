@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 
 use super::super::FormatError;
 use super::super::source::Source;
-use super::dialect::is_space;
+use super::super::text::is_space;
 
 /// Lines that decide, those of comments and empty ones aside.
 const LINES: usize = 1000;
