@@ -236,6 +236,46 @@ fn the_accept_header_chooses_the_format() {
 }
 
 #[test]
+fn a_sweep_of_bare_numbers_is_what_the_request_says() {
+    let server = Server::start(&Scripted::new(), Config::default());
+    let positions = cloud(300);
+    // Four, or five, 32-bit floats a point.
+    let sweep = |others: &[f32]| -> Vec<u8> {
+        let point = |p: &[f64; 3]| [p.map(|c| c as f32).as_slice(), others].concat();
+        positions.iter().flat_map(point).flat_map(f32::to_le_bytes).collect()
+    };
+    for (format, others, names) in [
+        ("kitti", &[0.5][..], &["intensity"][..]),
+        ("nuscenes", &[36.0, 7.0], &["intensity", "ring"]),
+        ("KITTI", &[0.25], &["intensity"]),
+    ] {
+        let target = format!("/upsample?ratio=4&format={format}&keep_input=true");
+        let reply = server.post(&target, &sweep(others));
+        assert_eq!(reply.status, 200, "{format}: {}", reply.text());
+        assert_eq!(reply.header("content-type"), Some(PLY.media_type()));
+        assert_eq!(reply.header("densecloud-points-in"), Some("300"));
+        assert_eq!(reply.header("densecloud-points-out"), Some("1200"));
+        let reader = CloudReader::open(&reply.body[..], Limits::default()).expect("a header");
+        assert_eq!(reader.header().format, PLY);
+        let dense = reader.read().expect("a cloud");
+        assert_eq!((dense.positions.len(), &dense.positions[..300]), (1200, &positions[..]));
+        for ((attribute, name), value) in dense.attributes.iter().zip(names).zip(others) {
+            assert_eq!(
+                (attribute.name.as_str(), &attribute.values),
+                (*name, &Values::F32(vec![*value; 1200]))
+            );
+        }
+        assert_eq!(dense.attributes.len(), names.len());
+    }
+    let body = sweep(&[0.5]);
+    let reply = server.post("/upsample?ratio=4&format=kitti", &body[..body.len() - 1]);
+    assert_eq!((reply.status, reply.problem_name().as_str()), (400, "malformed-cloud"), "{}", reply.text());
+    let reply = server.post("/upsample?ratio=4", &body);
+    assert_eq!((reply.status, reply.problem_name().as_str()), (415, "unsupported-format"));
+    assert!(reply.text().contains("--format") && reply.text().contains("kitti"), "{}", reply.text());
+}
+
+#[test]
 fn the_input_can_be_kept_and_a_spacing_asked_for() {
     let server = Server::start(&Scripted::new(), Config::default());
     let body = encode(&cloud(300), PLY);
