@@ -40,6 +40,22 @@ fn an_output_is_refused_that_would_not_be_what_its_name_says() {
         assert!(String::from_utf8_lossy(&drawn.stderr).contains("name it .png"), "{drawn:?}");
         assert!(!std::path::Path::new(&out).exists(), "{out}");
     }
+    // As the input, whose name it has; but what is no text is no text under such a name.
+    for extension in ["dat", "XYZN", "3d"] {
+        std::fs::copy(&input, path(&format!("own.{extension}"))).expect("a copy");
+        let out = path(&format!("out.{}", extension.to_lowercase()));
+        let done =
+            run(&["upsample", &path(&format!("own.{extension}")), &out, "--ratio", "1", "--keep-input"]);
+        assert!(done.status.success(), "{done:?}");
+        let text = std::fs::read_to_string(&out).expect("text");
+        assert_eq!(text.lines().count(), 40, "{extension}");
+        assert!(text.starts_with("500000.222205 0.0 0.975\n"), "{text}");
+    }
+    assert!(upsample(&path("cloud.ply")).status.success());
+    std::fs::copy(path("cloud.ply"), path("cloud.splat")).expect("a copy");
+    let splat = ["upsample", &path("cloud.splat"), &path("other.splat"), "--ratio", "1"];
+    assert_refused(&run(&splat), "splat");
+    assert_refused(&run(&["upsample", &path("none.dat"), &path("out2.dat"), "--ratio", "1"]), "dat");
     // Without an extension, as the input.
     assert!(upsample(&path("out")).status.success());
     let text = std::fs::read_to_string(path("out")).expect("text");

@@ -3,8 +3,9 @@
 use std::fmt;
 use std::path::Path;
 
-use super::FormatError;
+use super::reader::CloudReader;
 use super::registry::{self, Format};
+use super::{FormatError, Reading};
 use densecloud_cloud::{Attribute, Origin, Position};
 
 /// The type of written coordinates.
@@ -89,6 +90,33 @@ impl Format {
             "nothing is written as `.{extension}`; names of outputs end in {} or {last}",
             others.join(", ")
         )))
+    }
+
+    /// As [`of_output`](Self::of_output), of what is made of the file `input`, which is read as `reading` says: where both
+    /// names end alike and no format does (`.dat`), text stays what it is. Looks at the input's first lines only then.
+    ///
+    /// # Errors
+    /// As [`of_output`](Self::of_output).
+    pub fn of_output_from(
+        output: &Path,
+        input: &Path,
+        reading: &Reading,
+    ) -> Result<Option<Self>, FormatError> {
+        Self::of_output(output).or_else(|refused| {
+            let is_own =
+                ends_alike(output, input) && Self::of_file(input, reading).is_some_and(Self::has_any_name);
+            if is_own { Ok(None) } else { Err(refused) }
+        })
+    }
+
+    /// The format of a file, where it can be opened as one.
+    fn of_file(path: &Path, reading: &Reading) -> Option<Self> {
+        Some(CloudReader::open_path(path, reading).ok()?.header().format)
+    }
+
+    /// Whether its files are called anything: they begin with their points, and so say nothing of their own.
+    fn has_any_name(self) -> bool {
+        self.is_written() && self.beginning().is_none()
     }
 
     /// Whether both are of one kind, whatever the choices within it.
@@ -246,6 +274,12 @@ impl Format {
         let file = self.file_bytes(points, attribute_bytes);
         self.ask(|format| format.bytes_at_work(file))
     }
+}
+
+/// Whether two names have one extension, in any case; none of what is packed, since no result is.
+fn ends_alike(a: &Path, b: &Path) -> bool {
+    let extension = |path: &Path| path.extension().map(|extension| extension.to_ascii_lowercase());
+    extension(a).is_some_and(|own| own != "gz" && extension(b) == Some(own))
 }
 
 /// For people: `PLY (binary_little_endian, 32-bit)`.

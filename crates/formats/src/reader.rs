@@ -155,6 +155,12 @@ impl<'r> CloudReader<'r> {
         Self::open_input(Input::of_file(file)?, limits, reading, None)
     }
 
+    /// As [`open_file_as`](Self::open_file_as), without limits; the file's name may tell what its content does not.
+    pub(crate) fn open_path(path: &Path, reading: &Reading) -> Result<CloudReader<'static>, FormatError> {
+        let input = Input::of_file(File::open(path)?)?;
+        CloudReader::open_input(input, Limits::default(), reading, Some(path))
+    }
+
     /// As [`open_as`](Self::open_as), of a file of this name.
     fn open_input(
         input: Input<'r>,
@@ -278,8 +284,7 @@ pub fn read_cloud_file(path: &Path) -> Result<(Cloud, Header), FormatError> {
 /// # Errors
 /// As [`read_cloud_file`], or the file is not what `reading` says.
 pub fn read_cloud_file_as(path: &Path, reading: &Reading) -> Result<(Cloud, Header), FormatError> {
-    let input = Input::of_file(File::open(path)?)?;
-    let reader = CloudReader::open_input(input, Limits::default(), reading, Some(path))?;
+    let reader = CloudReader::open_path(path, reading)?;
     let header = reader.header.clone();
     Ok((reader.read()?, header))
 }

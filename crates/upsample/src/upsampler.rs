@@ -140,7 +140,8 @@ impl Upsampler {
     /// is in the [`Report`] alone then.
     ///
     /// # Errors
-    /// The same; [`FormatError::NotWritten`] for an extension such as `.stl` or `.obj`, which nothing is written as.
+    /// The same; [`FormatError::NotWritten`] for an extension such as `.stl` or `.obj`, which nothing is written as; text may
+    /// have any that its input has.
     pub fn upsample_file(
         &self,
         input: &Path,
@@ -148,7 +149,7 @@ impl Upsampler {
         mut options: Options,
     ) -> Result<Report, UpsampleError> {
         match options.format {
-            None => options.format = Format::of_output(output)?,
+            None => options.format = Format::of_output_from(output, input, &options.reading)?,
             Some(format) if !format.is_written() => {
                 return Err(FormatError::NotWritten(format!("{format} is read only")).into());
             }

@@ -55,6 +55,16 @@ pub(super) fn wanted(path: &Path) -> Result<Option<Format>, CliError> {
     Format::of_output(path).map_err(|why| CliError::Usage(format!("{}: {why}", path.display())))
 }
 
+/// As [`wanted`], of what is made of a file.
+pub(super) fn wanted_from(
+    input: &Path,
+    output: &Path,
+    reading: &Reading,
+) -> Result<Option<Format>, CliError> {
+    let wanted = Format::of_output_from(output, input, reading);
+    wanted.map_err(|why| CliError::Usage(format!("{}: {why}", output.display())))
+}
+
 /// Prints to standard output. A reader that has seen enough may close the pipe.
 pub(super) fn print(text: &str) -> Result<(), CliError> {
     let mut stdout = io::stdout().lock();

@@ -27,8 +27,8 @@ pub(super) struct UpsampleArgs {
     /// input
     pub(super) input: PathBuf,
 
-    /// The dense cloud: .ply, .las, .laz, .e57, .pcd, .npy or text such as .xyz (another or no extension: as the input);
-    /// `-` for standard output
+    /// The dense cloud: .ply, .las, .laz, .e57, .pcd, .npy or text such as .xyz (without an extension, and of
+    /// text with its own one: as the input); `-` for standard output
     pub(super) output: PathBuf,
 
     #[command(flatten)]
@@ -54,7 +54,9 @@ pub(super) struct UpsampleArgs {
 pub(super) const PROVENANCE: &str = ".provenance.txt";
 
 pub(super) fn run(args: &UpsampleArgs) -> Result<(), CliError> {
-    let options = Options { format: files::wanted(&args.output)?, ..args.options.options()? };
+    let options = args.options.options()?;
+    let format = files::wanted_from(&args.input, &args.output, &options.reading)?;
+    let options = Options { format, ..options };
     if let Some(url) = &args.server {
         return upsample_remote::run(args, &options, url);
     }

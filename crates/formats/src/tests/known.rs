@@ -145,6 +145,31 @@ fn an_output_is_named_as_what_it_is() {
             assert!(error.contains(ending), "{error}");
         }
     }
+    // But that of an input of text.
+    let folder = tempfile::tempdir().expect("a folder");
+    let from = |input: &str, bytes: &[u8], output: &str| {
+        let input = folder.path().join(input);
+        std::fs::write(&input, bytes).expect("a file");
+        Format::of_output_from(Path::new(output), &input, &Reading::default())
+    };
+    let text = &b"1 2 3 4\n5 6 7 8\n"[..];
+    for (input, output) in [("a.dat", "b.dat"), ("a.XYZN", "b.xyzn"), ("a.b.Dat", "-")] {
+        assert_eq!(from(input, text, output).expect(output), None, "{input}");
+    }
+    assert_eq!(from("a.dat", text, "b.csv").expect("a format"), Some(Format::text(Separator::Comma)));
+    let ply = write(&[[1.0, 2.0, 3.0]], ply(PlyEncoding::Ascii, Scalar::F64));
+    for (input, bytes, output) in [
+        ("a.dat", text, "b.date"),
+        ("a", text, "b.dat"),
+        ("a.xyz.gz", text, "b.xyz.gz"),
+        ("a.dat", &ply, "b.dat"),
+        ("a.dat", b"no points\n", "b.dat\0"),
+    ] {
+        let error = from(input, bytes, output).expect_err(input).to_string();
+        assert!(error.contains("nothing is written as"), "{error}");
+    }
+    let none = Format::of_output_from(Path::new("b.dat"), Path::new("no/a.dat"), &Reading::default());
+    assert!(matches!(none, Err(FormatError::NotWritten(_))));
     // The list is what there is.
     for ending in registry::endings() {
         let name = if ending.starts_with('.') { format!("a{ending}") } else { ending };
