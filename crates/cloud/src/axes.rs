@@ -99,9 +99,10 @@ const FAMILIES: &[&[Family]] = &[
 ];
 
 /// Finds the three columns that are the coordinates, by their names, in any case and any order. They are of one family:
-/// `x, y, z`, `Points:0, Points:1, Points:2`, `x_coord` and so on, easting, northing and a height, longitude, latitude and a
-/// height; `x` and `northing` are none. None where no family is whole. Names without what programs put before them
-/// (`field_x`) count only where no other names are a family; in a unit of time, or of an angle but for longitude and latitude, none does.
+/// `x, y, z`, `Points:0, Points:1, Points:2`, `x_coord` and so on, easting, northing and a height, longitude, latitude
+/// and a height; `x` and `northing` are none. None where no family is whole. Names without what programs put before
+/// them (`field_x`) count only where no other names are a family; in a unit of time, or of an angle but for longitude
+/// and latitude, none does.
 ///
 /// # Errors
 /// [`AmbiguousAxes`] where two columns are the same coordinate (`x` and `X`), or two families are whole that are as good.
@@ -118,7 +119,8 @@ pub fn axes_of<S: AsRef<str>>(names: &[S]) -> Result<Option<Axes>, AmbiguousAxes
     Ok(None)
 }
 
-/// The columns that may be x, y and z by the whole families of a rank, if there is one; and whether the first is geographic.
+/// The columns that may be x, y and z by the whole families of a rank, if there is one; and whether the first is
+/// geographic.
 fn rank_of(rank: &[Family], keys: &[Name], shortened: bool) -> Option<([Vec<usize>; 3], bool)> {
     let places = |family: &Family| {
         family.axes.map(|known| -> Vec<usize> {

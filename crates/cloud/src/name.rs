@@ -26,8 +26,8 @@ enum Measure {
     Other,
 }
 
-/// The longest name that programs give to what is known here, with all that they put about it. Others mean nothing, so that
-/// a hostile one costs nothing.
+/// The longest name that programs give to what is known here, with all that they put about it. Others mean nothing, so
+/// that a hostile one costs nothing.
 const LONGEST: usize = 64;
 
 /// The most words that are left out before a name.

@@ -62,10 +62,10 @@ impl Limits {
 }
 
 impl Format {
-    /// The format that a file's extension asks for: `ply` is binary, little-endian, with 32-bit
-    /// floats; `xyz`, `txt`, `asc`, `pts` and `pwn` are text without names, with spaces, and `csv` with
-    /// commas; `las`, `laz`, `e57`, `pcd` (binary) and `npy` (64-bit floats, attributes as fields) are what they say. The
-    /// whole names `points3D.txt` and `points3D.bin` come first. Case is ignored.
+    /// The format that a file's extension asks for: `ply` is binary, little-endian, with 32-bit floats; `xyz`, `txt`,
+    /// `asc`, `pts` and `pwn` are text without names, with spaces, and `csv` with commas; `las`, `laz`, `e57`, `pcd`
+    /// (binary) and `npy` (64-bit floats, attributes as fields) are what they say. The whole names `points3D.txt` and
+    /// `points3D.bin` come first. Case is ignored.
     #[must_use]
     pub fn from_extension(path: &Path) -> Option<Self> {
         let lower = |name: &std::ffi::OsStr| Some(name.to_str()?.to_ascii_lowercase());

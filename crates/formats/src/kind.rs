@@ -1,4 +1,4 @@
-//! What a format tells of itself. One implementation of [`Kind`] in a folder, and one entry in the
+//! What a format tells of itself. One implementation of [`FormatKind`] in a folder, and one entry in the
 //! [registry](super::registry), are all that makes a format.
 
 use std::fmt::{self, Debug};
@@ -12,7 +12,7 @@ use densecloud_cloud::{Attribute, Origin, Position, Role};
 
 /// A format, whatever the choices within it: how its files are named, recognised and opened. The type that
 /// implements it is the choices.
-pub(crate) trait Kind: Choices + Copy + 'static {
+pub(crate) trait FormatKind: Choices + Copy + 'static {
     /// How its files are told from those of others.
     const MARK: Mark;
 

@@ -57,8 +57,8 @@ struct Utf16 {
 }
 
 impl<'r> Layers<'r> {
-    /// Looks at the first bytes. `transcode` is whether UTF-16 may be about it; nothing lies about what `is_known`, since the
-    /// first bytes of that may be a number.
+    /// Looks at the first bytes. `transcode` is whether UTF-16 may be about it; nothing lies about what `is_known`,
+    /// since the first bytes of that may be a number.
     pub(super) fn new(
         input: Input<'r>,
         limits: Limits,
@@ -199,7 +199,8 @@ impl Read for Expanded<'_> {
 }
 
 impl<R: Read> Ahead<R> {
-    /// The first bytes, enough to recognise any format, fewer where there are no more. To be asked before anything is read.
+    /// The first bytes, enough to recognise any format, fewer where there are no more. To be asked before anything is
+    /// read.
     fn peek(&mut self) -> io::Result<&[u8]> {
         let mut bytes = [0; ENOUGH];
         while self.bytes.len() < ENOUGH {

@@ -15,14 +15,15 @@
 //! | OFF | read (vertices) | read |
 //! | OBJ | read (vertices) | |
 //!
-//! A reader is opened first and read second: [`CloudReader::open`] parses the header alone, so that
-//! limits are checked, and a refusal sent, before any point is read. [`CloudReader::read`] returns all points,
-//! [`CloudReader::next_block`] some of them at a time in memory that does not grow with the file, but for the formats that it
-//! names. A header's claim is never believed: memory grows with the data, and a claim that the data do not keep is an error that
-//! says where the data ended. The counts in text (`.pts`) are notes of people's: one that is off is told, and all points are read.
+//! A reader is opened first and read second: [`CloudReader::open`] parses the header alone, so that limits are checked,
+//! and a refusal sent, before any point is read. [`CloudReader::read`] returns all points, [`CloudReader::next_block`]
+//! some of them at a time in memory that does not grow with the file, but for the formats that it names. A header's
+//! claim is never believed: memory grows with the data, and a claim that the data do not keep is an error that says
+//! where the data ended. The counts in text (`.pts`) are notes of people's: one that is off is told, and all points are
+//! read.
 //!
-//! A format is a module that implements the traits of `kind.rs`, and an entry in `registry.rs`. No other file names it, but for
-//! `mesh.rs`.
+//! A format is a module that implements the traits of `kind.rs`, and an entry in `registry.rs`. No other file names it,
+//! but for `mesh.rs`.
 //!
 //! Everything here is blocking `std::io`, and nothing here panics on bad input.
 //!

@@ -3,7 +3,7 @@
 use std::fmt;
 
 use super::columns::TextColumn;
-use super::kind::{self, Mark, Opened, ReadOnly};
+use super::kind::{FormatKind, Mark, Opened, ReadOnly};
 use super::reader::{Block, ColumnName, Ending, Points};
 use super::source::Source;
 use super::text::{next_token, parse_f64, shown};
@@ -39,7 +39,7 @@ fn uncommented(line: &[u8]) -> &[u8] {
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Obj;
 
-impl kind::Kind for Obj {
+impl FormatKind for Obj {
     const MARK: Mark = Mark::Lines(is_obj);
     const NAMES: &'static [&'static str] = &["obj"];
     const BEGINNING: Option<&'static str> = Some("lines such as `v 1 2 3`");

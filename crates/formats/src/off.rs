@@ -4,7 +4,7 @@ use std::fmt;
 use std::ops::Range;
 
 use super::columns::TextColumn;
-use super::kind::{Kind, Mark, Opened, ReadOnly};
+use super::kind::{FormatKind, Mark, Opened, ReadOnly};
 use super::mesh::Polygons;
 use super::reader::{Block, Ending, Points};
 use super::source::Source;
@@ -17,7 +17,7 @@ use densecloud_geometry::Mesh;
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Off;
 
-impl Kind for Off {
+impl FormatKind for Off {
     const MARK: Mark = Mark::Lines(|head| {
         let mut lines = head.split(|b| matches!(b, b'\n' | b'\r'));
         lines.find_map(|line| next_token(&mut strip_comment(line))).is_some_and(is_keyword)

@@ -53,9 +53,10 @@ pub struct CloudReader<'r> {
 pub struct Block {
     /// One entry a point, in the file's order and units; NaN and infinite coordinates as they are.
     pub positions: Vec<Position>,
-    /// The other columns, one number a point each; [`Ending::columns`] says which attribute each is. All blocks have the
-    /// same columns. A text file declares no types: its columns hold 64-bit integers, without a sign from the first one
-    /// beyond 2^63 on, until a fraction is met, doubles from that block on, and nothing from the block on in which a field is no number.
+    /// The other columns, one number a point each; [`Ending::columns`] says which attribute each is. All blocks have
+    /// the same columns. A text file declares no types: its columns hold 64-bit integers, without a sign from the first
+    /// one beyond 2^63 on, until a fraction is met, doubles from that block on, and nothing from the block on in which
+    /// a field is no number.
     pub columns: Vec<Values>,
 }
 
@@ -187,9 +188,10 @@ impl<'r> CloudReader<'r> {
     /// Replaces the block's points by the next ones, at most `rows` of them; false when all are read.
     ///
     /// Memory is that of the block and a buffer, whatever the file's length. Files whose points do not lie one after
-    /// another come in one block: compressed PCD, E57, OBJ, and NumPy arrays in Fortran order. Of COLMAP's points the keys are
-    /// held to the end, 32 bytes a point. LAS, LAZ and E57 need to seek: a file given to [`open_file`](Self::open_file) is read where it lies; a stream is copied first, to memory
-    /// up to 64 MiB and to a temporary file beyond.
+    /// another come in one block: compressed PCD, E57, OBJ, and NumPy arrays in Fortran order. Of COLMAP's points the
+    /// keys are held to the end, 32 bytes a point. LAS, LAZ and E57 need to seek: a file given to
+    /// [`open_file`](Self::open_file) is read where it lies; a stream is copied first, to memory up to 64 MiB and to a
+    /// temporary file beyond.
     ///
     /// # Errors
     /// The data are malformed, end early, or pass a limit.
@@ -270,8 +272,8 @@ fn narrowed(values: Values, kind: Kind) -> Values {
     }
 }
 
-/// Reads a cloud from a file, without limits. The content tells the format; where that is text or numbers alone, the name
-/// may: a `points3D.txt` is COLMAP's, and text that is named `.ply` is refused rather than taken for points.
+/// Reads a cloud from a file, without limits. The content tells the format; where that is text or numbers alone, the
+/// name may: a `points3D.txt` is COLMAP's, and text that is named `.ply` is refused rather than taken for points.
 ///
 /// # Errors
 /// As [`CloudReader::open`] and [`CloudReader::read`], or the file cannot be opened.

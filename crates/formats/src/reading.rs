@@ -4,7 +4,7 @@ use std::fmt;
 use std::str::FromStr;
 
 use super::registry;
-use super::text::split_quoted;
+use super::text::quoted_fields;
 use super::{Decimal, Separator};
 
 /// How a file is to be read, where its content does not tell, or tells something else. The default leaves all to the
@@ -167,7 +167,7 @@ impl FromStr for AxisColumns {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let columns = split_quoted(text, ',').unwrap_or_default();
+        let columns = quoted_fields(text, b',').unwrap_or_default();
         let columns: Vec<String> = columns.iter().map(|(column, _)| column.trim().to_owned()).collect();
         match <[String; 3]>::try_from(columns) {
             Ok(columns) if columns.iter().all(|column| !column.is_empty()) => Ok(Self(columns)),

@@ -4,7 +4,7 @@
 
 use std::path::Path;
 
-use super::kind::{Choices, Kind, Mark, Opened};
+use super::kind::{Choices, FormatKind, Mark, Opened};
 use super::source::{Around, Source};
 use super::{
     Decimal, FormatError, Limits, PcdEncoding, PlyEncoding, Reading, Scalar, Separator, colmap, e57, kitti,
@@ -101,7 +101,7 @@ formats! {
         binary: bool,
     }
     /// A sweep of bare 32-bit floats, as KITTI and nuScenes have it, read only.
-    kitti::Kitti {
+    kitti::Sweep {
         /// Whether a point has a fifth number, its ring, as in nuScenes.
         ring: bool,
     }
@@ -125,7 +125,7 @@ pub(crate) fn usual(scalar: Scalar) -> Format {
 /// How a file is opened once its format is known.
 pub(crate) type Open = fn(&mut Source<'_>, Limits, &Reading) -> Result<Opened, FormatError>;
 
-/// A [`Kind`] as a value.
+/// A [`FormatKind`] as a value.
 struct Registered {
     mark: Mark,
     names: &'static [&'static str],
@@ -143,7 +143,7 @@ struct Registered {
 }
 
 impl Registered {
-    const fn of<K: Kind>() -> Self
+    const fn of<K: FormatKind>() -> Self
     where
         Format: From<K>,
     {

@@ -1,5 +1,7 @@
 //! Numbers and columns in text.
 
+use std::ops::Range;
+
 use densecloud_cloud::Values;
 
 /// Parses a decimal number; `None` when it is none.
@@ -64,45 +66,95 @@ pub(super) fn next_token<'a>(line: &mut &'a [u8]) -> Option<&'a [u8]> {
     Some(&rest[..to])
 }
 
-/// The fields of a line as CSV has them, and whether each stands in quotes: these may hold the separator, and quotes twice
-/// for each. None where quotes are not closed, or something stands behind them.
-pub(super) fn split_quoted(line: &str, separator: char) -> Option<Vec<(String, bool)>> {
-    let mut fields = Vec::new();
-    let mut rest = line;
-    loop {
-        let begun = rest.trim_start_matches(|c: char| c != separator && c.is_whitespace());
-        let (field, after) = match begun.strip_prefix('"') {
-            Some(quoted) => {
-                let (field, after) = closed(quoted)?;
-                ((field, true), after.trim_start_matches(|c: char| c != separator && c.is_whitespace()))
+/// Tells where each field of a line stands as CSV has them, without white space and quotes about them, and whether each
+/// stands in quotes: these may hold the separator, and quotes twice for each. Where it may have `comments`, one ends
+/// it. Stops behind `most` fields.
+///
+/// # Errors
+/// Quotes are not closed, or something stands behind them.
+pub(super) fn split_quoted(
+    line: &[u8],
+    separator: u8,
+    comments: bool,
+    most: usize,
+    mut tell: impl FnMut(Range<usize>, bool),
+) -> Result<(), String> {
+    let mut from = 0;
+    for _ in 0..most {
+        let skip = line[from..].iter().position(|b| *b == separator || !is_space(*b));
+        let begin = skip.map_or(line.len(), |i| from + i);
+        let quotes = line.get(begin) == Some(&b'"');
+        let close = if quotes { closing(line, begin)? } else { begin };
+        let end = line[close..].iter().position(|b| *b == separator).map_or(line.len(), |i| close + i);
+        let after = if quotes { close + 1 } else { from };
+        let comment = comment(line, after, end).filter(|_| comments);
+        let rest = trimmed(line, after..comment.unwrap_or(end));
+        if quotes {
+            if !rest.is_empty() {
+                return Err(format!("{} follows a closing quote", shown(&line[rest])));
             }
-            None => {
-                let end = rest.find(separator).unwrap_or(rest.len());
-                ((rest[..end].to_owned(), false), &rest[end..])
-            }
-        };
-        fields.push(field);
-        match after.strip_prefix(separator) {
-            Some(next) => rest = next,
-            None if after.is_empty() => return Some(fields),
-            None => return None,
+            tell(trimmed(line, begin + 1..close), true);
+        } else {
+            tell(rest, false);
         }
+        if comment.is_some() || end == line.len() {
+            break;
+        }
+        from = end + 1;
     }
+    Ok(())
 }
 
-/// What stands up to the closing quote, and what stands behind it.
-fn closed(quoted: &str) -> Option<(String, &str)> {
-    let (mut field, mut rest) = (String::new(), quoted);
-    loop {
-        let end = rest.find('"')?;
-        field.push_str(&rest[..end]);
-        rest = &rest[end + 1..];
-        match rest.strip_prefix('"') {
-            Some(next) => {
-                field.push('"');
-                rest = next;
-            }
-            None => return Some((field, rest)),
+/// As [`split_quoted`], the fields themselves, and without comments; none where quotes are not closed, or something
+/// stands behind them.
+pub(super) fn quoted_fields(line: &str, separator: u8) -> Option<Vec<(String, bool)>> {
+    let mut fields = Vec::new();
+    let tell = |place: Range<usize>, quoted: bool| {
+        // White space, quotes and separators are ASCII, so fields begin and end between characters.
+        let field = line.get(place).unwrap_or_default();
+        fields.push((if quoted { field.replace("\"\"", "\"") } else { field.to_owned() }, quoted));
+    };
+    split_quoted(line.as_bytes(), separator, false, usize::MAX, tell).ok()?;
+    Some(fields)
+}
+
+/// Where the quotes close that open at `open`. Two in a row are one of the field's.
+pub(super) fn closing(line: &[u8], open: usize) -> Result<usize, String> {
+    let mut at = open + 1;
+    while let Some(quote) = line[at..].iter().position(|b| *b == b'"').map(|i| at + i) {
+        if line.get(quote + 1) != Some(&b'"') {
+            return Ok(quote);
+        }
+        at = quote + 2;
+    }
+    Err("quotes are opened and not closed in this line".to_owned())
+}
+
+/// Where a comment begins in this part of a line: at the line's beginning or after white space.
+pub(super) fn comment(line: &[u8], from: usize, to: usize) -> Option<usize> {
+    let mut at = from;
+    while let Some(found) = line[at..to].iter().position(|b| matches!(b, b'#' | b'/')).map(|i| at + i) {
+        if begins_comment(&line[found..]) && (found == 0 || is_space(line[found - 1])) {
+            return Some(found);
+        }
+        at = found + 1;
+    }
+    None
+}
+
+/// Whether a comment begins here.
+pub(super) fn begins_comment(rest: &[u8]) -> bool {
+    rest.starts_with(b"#") || rest.starts_with(b"//")
+}
+
+/// A part of a line without white space about it.
+pub(super) fn trimmed(line: &[u8], field: Range<usize>) -> Range<usize> {
+    let part = &line[field.clone()];
+    match part.iter().position(|b| !is_space(*b)) {
+        None => field.start..field.start,
+        Some(first) => {
+            let last = part.iter().rposition(|b| !is_space(*b)).unwrap_or(first);
+            field.start + first..field.start + last + 1
         }
     }
 }
@@ -142,10 +194,10 @@ mod tests {
 
     #[test]
     fn quotes_hold_a_field_together() {
-        let split = |line| split_quoted(line, ',');
+        let split = |line| quoted_fields(line, b',');
         let fields =
             |fields: &[(&str, bool)]| Some(fields.iter().map(|(text, q)| ((*text).to_owned(), *q)).collect());
-        assert_eq!(split("a, b c ,"), fields(&[("a", false), (" b c ", false), ("", false)]));
+        assert_eq!(split("a, b c ,"), fields(&[("a", false), ("b c", false), ("", false)]));
         assert_eq!(
             split("\"a, b\" , \"say \"\"h\"\"\",c\"d"),
             fields(&[("a, b", true), ("say \"h\"", true), ("c\"d", false)])

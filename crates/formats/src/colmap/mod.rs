@@ -6,7 +6,7 @@ mod write;
 
 use std::fmt;
 
-use super::kind::{Choices, FirstPass, Kind, Mark, Opened};
+use super::kind::{Choices, FirstPass, FormatKind, Mark, Opened};
 use super::numbers::Storage;
 use super::source::Source;
 use super::{Format, FormatError, Limits, Reading};
@@ -36,7 +36,7 @@ const RECORD: usize = 8 + 24 + 3 + 8 + 8;
 /// Bytes of an entry of a track: an image, and a point of it.
 const SIGHTING: u64 = 8;
 
-impl Kind for Colmap {
+impl FormatKind for Colmap {
     const MARK: Mark = Mark::Bytes(|head| has_title(head) || read::are_records(head));
     const NAMES: &'static [&'static str] = &["colmap"];
     const BEGINNING: Option<&'static str> =

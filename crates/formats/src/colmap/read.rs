@@ -246,8 +246,8 @@ impl Record {
     }
 }
 
-/// Whether bytes are a count and records, by two of them at least, or one whose track fills all that is looked at: their
-/// keys, errors and tracks leave no doubt.
+/// Whether bytes are a count and records, by two of them at least, or one whose track fills all that is looked at:
+/// their keys, errors and tracks leave no doubt.
 pub(super) fn are_records(head: &[u8]) -> bool {
     let Some((count, mut rest)) = head.split_at_checked(8) else { return false };
     let count = u64::from_le_bytes(count.try_into().unwrap_or_default());

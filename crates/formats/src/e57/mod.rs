@@ -4,6 +4,7 @@
 //! extension `nor` that libe57 documents; every other attribute is in one of our own, `densecloud`, whose
 //! columns are the attributes' names ([`tag`]).
 
+mod check;
 mod column;
 mod read;
 mod write;
@@ -13,7 +14,7 @@ use std::io::Write;
 
 use ::e57::RecordName;
 
-use super::kind::{Choices, Kind, Mark, Opened};
+use super::kind::{Choices, FormatKind, Mark, Opened};
 use super::source::Source;
 use super::spool::Spool;
 use super::{Format, FormatError, Limits, Reading};
@@ -23,7 +24,7 @@ use densecloud_cloud::{Attribute, Origin, Position, Role};
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct E57;
 
-impl Kind for E57 {
+impl FormatKind for E57 {
     const MARK: Mark = Mark::Bytes(|head| head.starts_with(b"ASTM-E57"));
     const NAMES: &'static [&'static str] = &["e57"];
     const BEGINNING: Option<&'static str> = Some("`ASTM-E57`");

@@ -5,17 +5,17 @@ mod read;
 
 use std::fmt;
 
-use super::kind::{Kind, Mark, Opened, ReadOnly};
+use super::kind::{FormatKind, Mark, Opened, ReadOnly};
 use super::source::Source;
 use super::{FormatError, Limits, Reading, Scalar};
 
 /// A sweep with its choices made.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Kitti {
+pub(crate) struct Sweep {
     pub(crate) ring: bool,
 }
 
-impl Kind for Kitti {
+impl FormatKind for Sweep {
     const MARK: Mark = Mark::None;
     const NAMES: &'static [&'static str] = &["kitti", "nuscenes"];
     const BEGINNING: Option<&'static str> = None;
@@ -37,7 +37,7 @@ impl Kind for Kitti {
     }
 }
 
-impl ReadOnly for Kitti {
+impl ReadOnly for Sweep {
     fn media_type(&self) -> &'static str {
         "application/octet-stream"
     }
@@ -47,7 +47,7 @@ impl ReadOnly for Kitti {
     }
 }
 
-impl fmt::Display for Kitti {
+impl fmt::Display for Sweep {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(if self.ring { "nuScenes (x y z intensity ring)" } else { "KITTI (x y z intensity)" })
     }

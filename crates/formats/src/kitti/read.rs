@@ -3,7 +3,7 @@
 use super::super::reader::{Block, ColumnName, Ending, Points};
 use super::super::source::Source;
 use super::super::{FormatError, Header, Limits, Place};
-use super::Kitti;
+use super::Sweep;
 use densecloud_cloud::{Kind, Origin, Values};
 
 /// Bytes of a number.
@@ -18,7 +18,7 @@ const RINGS: f32 = 1024.0;
 /// The points of a sweep.
 pub(super) struct KittiPoints {
     names: &'static [&'static str],
-    format: Kitti,
+    format: Sweep,
     limits: Limits,
     /// Points given.
     given: u64,
@@ -29,7 +29,7 @@ impl KittiPoints {
     pub(super) fn open(
         source: &mut Source<'_>,
         limits: Limits,
-        format: Kitti,
+        format: Sweep,
     ) -> Result<(Self, Header), FormatError> {
         if source.peek(1)?.is_empty() {
             return Err(FormatError::Empty("points"));

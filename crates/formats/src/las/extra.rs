@@ -1,7 +1,7 @@
 //! Attributes in the bytes that follow each point.
 
 use super::LasRecord;
-use super::records::{Role, number, role, text};
+use super::records::{RecordRole, number, role, text};
 use densecloud_cloud::{Kind, Values};
 
 /// An attribute in the bytes that follow each point.
@@ -73,7 +73,7 @@ pub(super) fn scale(entry: &[u8]) -> Option<(f64, f64)> {
 pub(super) fn extra_columns(records: &[LasRecord], length: usize, dropped: &mut Vec<String>) -> Vec<Extra> {
     let mut extra = Vec::new();
     let mut offset = 0;
-    for record in records.iter().filter(|record| role(record) == Role::Extra) {
+    for record in records.iter().filter(|record| role(record) == RecordRole::Extra) {
         for entry in record.data.chunks_exact(ENTRY) {
             let (kind, options) = (usize::from(entry[2]), entry[3]);
             let name = text(&entry[4..36]).trim().to_owned();

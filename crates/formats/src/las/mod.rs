@@ -18,7 +18,7 @@ mod write;
 
 use std::fmt;
 
-use super::kind::{Begun, Choices, FirstPass, Kind, Mark, Opened, encoded};
+use super::kind::{Begun, Choices, FirstPass, FormatKind, Mark, Opened, encoded};
 use super::source::Source;
 use super::spool::Spool;
 use super::{Format, FormatError, Limits, Reading};
@@ -55,7 +55,7 @@ pub(crate) struct Las {
     pub(crate) compressed: bool,
 }
 
-impl Kind for Las {
+impl FormatKind for Las {
     const MARK: Mark = Mark::Bytes(|head| head.starts_with(b"LASF"));
     const NAMES: &'static [&'static str] = &["las", "laz"];
     const BEGINNING: Option<&'static str> = Some("`LASF`");

@@ -14,7 +14,7 @@ use super::super::{Format, FormatError, Header, Limits, Place};
 use super::extra::{Extra, extra_columns};
 use super::head::{Counts, Head, LONGEST, Rewritten, SHORTEST};
 use super::layout::{self, Field};
-use super::records::{Places, Role, number, records, role};
+use super::records::{Places, RecordRole, number, records, role};
 use super::{LasExtra, LasOrigin, LasRecord, check, crs};
 use densecloud_cloud::{self as cloud, Origin, Values};
 
@@ -199,12 +199,12 @@ impl Decoder {
             described.push(LasExtra { name, entry: extra.entry });
         }
         let mut origin = Origin { crs: crs::read(&self.records), ..Origin::default() };
-        for record in self.records.iter().filter(|record| role(record) == Role::Provenance) {
+        for record in self.records.iter().filter(|record| role(record) == RecordRole::Provenance) {
             origin.comments.extend(String::from_utf8_lossy(&record.data).lines().map(str::to_owned));
         }
         origin.extra = Some(cloud::Extra::new(LasOrigin {
-            is_indexed: self.records.iter().any(|record| role(record) == Role::Index),
-            records: self.records.into_iter().filter(|record| role(record) == Role::Other).collect(),
+            is_indexed: self.records.iter().any(|record| role(record) == RecordRole::Index),
+            records: self.records.into_iter().filter(|record| role(record) == RecordRole::Other).collect(),
             extra: described,
             ..self.las
         }));

@@ -72,7 +72,7 @@ pub(super) fn text(bytes: &[u8]) -> String {
 
 /// What a record is about.
 #[derive(PartialEq, Eq)]
-pub(super) enum Role {
+pub(super) enum RecordRole {
     /// How the points are compressed, and waveforms: told anew, or dropped.
     Storage,
     /// Where points are in the file.
@@ -84,13 +84,13 @@ pub(super) enum Role {
     Other,
 }
 
-pub(super) fn role(record: &LasRecord) -> Role {
+pub(super) fn role(record: &LasRecord) -> RecordRole {
     match (record.user_id.as_str(), record.id) {
-        ("laszip encoded", _) | ("LASF_Spec", 100..=354 | 65_535) => Role::Storage,
-        ("copc", _) | ("LAStools", 30) => Role::Index,
-        ("LASF_Spec", 4) => Role::Extra,
-        (PROVENANCE, 1) => Role::Provenance,
-        _ => Role::Other,
+        ("laszip encoded", _) | ("LASF_Spec", 100..=354 | 65_535) => RecordRole::Storage,
+        ("copc", _) | ("LAStools", 30) => RecordRole::Index,
+        ("LASF_Spec", 4) => RecordRole::Extra,
+        (PROVENANCE, 1) => RecordRole::Provenance,
+        _ => RecordRole::Other,
     }
 }
 

@@ -5,12 +5,12 @@ mod read;
 
 use std::fmt;
 
-use super::kind::{Begun, Choices, Kind, Mark, Opened, Rows};
+use super::kind::{Begun, Choices, FormatKind, Mark, Opened, Rows};
 use super::names::{NameRule, changes};
 use super::numbers::{Storage, put_rows, put_table};
 use super::source::Source;
 use super::{Format, FormatError, Limits, Reading, Scalar};
-use densecloud_cloud::{Attribute, Kind as Number, Origin, Position, bytes_a_point};
+use densecloud_cloud::{Attribute, Kind, Origin, Position, bytes_a_point};
 
 /// What every file begins with.
 const MAGIC: &[u8] = b"\x93NUMPY";
@@ -25,7 +25,7 @@ pub(crate) struct Npy {
     pub(crate) fields: bool,
 }
 
-impl Kind for Npy {
+impl FormatKind for Npy {
     const MARK: Mark = Mark::Bytes(|head| head.starts_with(MAGIC));
     const NAMES: &'static [&'static str] = &["npy"];
     const BEGINNING: Option<&'static str> = Some("`\\x93NUMPY`");
@@ -176,17 +176,17 @@ fn is_table(fields: bool, attributes: &[Attribute]) -> bool {
     !fields || attributes.is_empty()
 }
 
-fn code(kind: Number) -> &'static str {
+fn code(kind: Kind) -> &'static str {
     match kind {
-        Number::I8 => "|i1",
-        Number::U8 => "|u1",
-        Number::I16 => "<i2",
-        Number::U16 => "<u2",
-        Number::I32 => "<i4",
-        Number::U32 => "<u4",
-        Number::I64 => "<i8",
-        Number::U64 => "<u8",
-        Number::F32 => "<f4",
-        Number::F64 => "<f8",
+        Kind::I8 => "|i1",
+        Kind::U8 => "|u1",
+        Kind::I16 => "<i2",
+        Kind::U16 => "<u2",
+        Kind::I32 => "<i4",
+        Kind::U32 => "<u4",
+        Kind::I64 => "<i8",
+        Kind::U64 => "<u8",
+        Kind::F32 => "<f4",
+        Kind::F64 => "<f8",
     }
 }

@@ -6,7 +6,7 @@ mod write;
 use std::fmt;
 use std::io::Write;
 
-use super::kind::{Begun, Choices, Kind, Mark, Opened};
+use super::kind::{Begun, Choices, FormatKind, Mark, Opened};
 use super::numbers::Storage;
 use super::source::Source;
 use super::writer::write_streamed;
@@ -49,7 +49,7 @@ impl PcdEncoding {
     }
 }
 
-impl Kind for Pcd {
+impl FormatKind for Pcd {
     const MARK: Mark = Mark::Bytes(is_pcd);
     const NAMES: &'static [&'static str] = &["pcd"];
     const BEGINNING: Option<&'static str> = Some("`# .PCD`");

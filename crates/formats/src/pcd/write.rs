@@ -102,8 +102,8 @@ pub(super) fn header(pcd: Pcd, points: u64, attributes: &[Attribute], origin: &O
     text
 }
 
-/// What attributes become: as they are, where they are from PCD; else colours of 8 bits are packed into one number, `rgb` or, with `alpha`, `rgba`,
-/// and normals have the names and the type that PCL looks for.
+/// What attributes become: as they are, where they are from PCD; else colours of 8 bits are packed into one number,
+/// `rgb` or, with `alpha`, `rgba`, and normals have the names and the type that PCL looks for.
 pub(super) fn fields(attributes: &[Attribute], origin: &Origin) -> Vec<Field> {
     let own = own_names(attributes, origin, "pcd", &OWN);
     let place = |name: &str| own.iter().position(|own| *own == Some(name));

@@ -8,7 +8,7 @@ mod write;
 
 use std::fmt;
 
-use super::kind::{Begun, Choices, Kind, Mark, Opened};
+use super::kind::{Begun, Choices, FormatKind, Mark, Opened};
 use super::numbers::Storage;
 use super::source::Source;
 use super::{Format, FormatError, Limits, Reading, Scalar};
@@ -53,7 +53,7 @@ impl PlyEncoding {
     }
 }
 
-impl Kind for Ply {
+impl FormatKind for Ply {
     const MARK: Mark = Mark::Bytes(|head| {
         head.strip_prefix(b"ply").is_some_and(|rest| rest.first().is_none_or(u8::is_ascii_whitespace))
     });

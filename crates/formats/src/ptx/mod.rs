@@ -5,7 +5,7 @@ mod read;
 
 use std::fmt;
 
-use super::kind::{Kind, Mark, Opened, ReadOnly};
+use super::kind::{FormatKind, Mark, Opened, ReadOnly};
 use super::source::Source;
 use super::text::{next_token, parse_f64};
 use super::{FormatError, Limits, Reading};
@@ -17,7 +17,7 @@ pub(crate) struct Ptx;
 /// How many numbers stand in each line of a scan's header: its columns and rows, the scanner's place and axes, the pose.
 const HEADER: [usize; 10] = [1, 1, 3, 3, 3, 3, 4, 4, 4, 4];
 
-impl Kind for Ptx {
+impl FormatKind for Ptx {
     const MARK: Mark = Mark::Lines(is_header);
     const NAMES: &'static [&'static str] = &["ptx"];
     const BEGINNING: Option<&'static str> =

@@ -23,13 +23,13 @@ fn four_or_five_numbers_are_a_point() {
         cloud.attributes,
         [Attribute { name: "intensity".into(), values: Values::F32(vec![0.5, 0.0]) }]
     );
-    assert_eq!((header.format, header.points), (Format::Kitti { ring: false }, None));
+    assert_eq!((header.format, header.points), (Format::Sweep { ring: false }, None));
     let five = floats(&[1.5, -2.0, 0.25, 36.0, 31.0, 3.0, 4.0, 5.0, 0.0, 0.0]);
     let (cloud, header) = read_as(&five, "nuscenes").expect("a cloud");
     assert_eq!(cloud.positions, [[1.5, -2.0, 0.25], [3.0, 4.0, 5.0]]);
     assert_eq!(cloud.attributes[0].values, Values::F32(vec![36.0, 0.0]));
     assert_eq!(cloud.attributes[1], Attribute { name: "ring".into(), values: Values::F32(vec![31.0, 0.0]) });
-    assert_eq!(header.format, Format::Kitti { ring: true });
+    assert_eq!(header.format, Format::Sweep { ring: true });
     assert_eq!(header.format.written(), ply(PlyEncoding::BinaryLittleEndian, Scalar::F32));
 }
 

@@ -3,7 +3,9 @@
 use std::ops::Range;
 
 use super::super::columns::MAX_COLUMNS;
-use super::super::text::{is_space, parse_f64, shown};
+use super::super::text::{
+    begins_comment, closing, comment, is_space, parse_f64, shown, split_quoted, trimmed,
+};
 use super::{Decimal, Separator};
 
 /// What a file's lines are made of: decided once.
@@ -33,7 +35,9 @@ impl Dialect {
             (None, false) => split_blanks(line, fields),
             (None, true) => split_quoted_blanks(line, fields)?,
             (Some(separator), false) => split_at(line, separator as u8, fields),
-            (Some(separator), true) => split_quoted_at(line, separator as u8, fields)?,
+            (Some(separator), true) => {
+                split_quoted(line, separator as u8, true, MAX_COLUMNS + 1, |place, _| fields.push(place))?;
+            }
         }
         if fields.len() > MAX_COLUMNS {
             return Err(format!("the line has more than {MAX_COLUMNS} columns"));
@@ -158,10 +162,6 @@ fn fortran(field: &[u8]) -> Option<f64> {
     parse_f64(&copy)
 }
 
-fn begins_comment(rest: &[u8]) -> bool {
-    rest.starts_with(b"#") || rest.starts_with(b"//")
-}
-
 fn split_blanks(line: &[u8], fields: &mut Vec<Range<usize>>) {
     let mut at = 0;
     while let Some(from) = line[at..].iter().position(|b| !is_space(*b)).map(|i| at + i) {
@@ -201,68 +201,6 @@ fn split_at(line: &[u8], separator: u8, fields: &mut Vec<Range<usize>>) {
             return;
         }
         from = to + 1;
-    }
-}
-
-fn split_quoted_at(line: &[u8], separator: u8, fields: &mut Vec<Range<usize>>) -> Result<(), String> {
-    let mut from = 0;
-    while fields.len() <= MAX_COLUMNS {
-        let skip = line[from..].iter().position(|b| *b == separator || !is_space(*b));
-        let begin = skip.map_or(line.len(), |i| from + i);
-        let quotes = line.get(begin) == Some(&b'"');
-        let close = if quotes { closing(line, begin)? } else { begin };
-        let end = line[close..].iter().position(|b| *b == separator).map_or(line.len(), |i| close + i);
-        let after = if quotes { close + 1 } else { from };
-        let comment = comment(line, after, end);
-        let rest = trimmed(line, after..comment.unwrap_or(end));
-        if quotes {
-            if !rest.is_empty() {
-                return Err(format!("{} follows a closing quote", shown(&line[rest])));
-            }
-            fields.push(trimmed(line, begin + 1..close));
-        } else {
-            fields.push(rest);
-        }
-        if comment.is_some() || end == line.len() {
-            return Ok(());
-        }
-        from = end + 1;
-    }
-    Ok(())
-}
-
-/// Where the quotes close that open at `open`. Two in a row are one of the field's.
-fn closing(line: &[u8], open: usize) -> Result<usize, String> {
-    let mut at = open + 1;
-    while let Some(quote) = line[at..].iter().position(|b| *b == b'"').map(|i| at + i) {
-        if line.get(quote + 1) != Some(&b'"') {
-            return Ok(quote);
-        }
-        at = quote + 2;
-    }
-    Err("quotes are opened and not closed in this line".to_owned())
-}
-
-/// Where a comment begins in this part of a line: at the line's beginning or after white space.
-fn comment(line: &[u8], from: usize, to: usize) -> Option<usize> {
-    let mut at = from;
-    while let Some(found) = line[at..to].iter().position(|b| matches!(b, b'#' | b'/')).map(|i| at + i) {
-        if begins_comment(&line[found..]) && (found == 0 || is_space(line[found - 1])) {
-            return Some(found);
-        }
-        at = found + 1;
-    }
-    None
-}
-
-fn trimmed(line: &[u8], field: Range<usize>) -> Range<usize> {
-    let part = &line[field.clone()];
-    match part.iter().position(|b| !is_space(*b)) {
-        None => field.start..field.start,
-        Some(first) => {
-            let last = part.iter().rposition(|b| !is_space(*b)).unwrap_or(first);
-            field.start + first..field.start + last + 1
-        }
     }
 }
 

@@ -3,7 +3,7 @@
 use densecloud_cloud::{Axes, FormatExtra, Role, axes_of};
 
 use super::super::names::Apart;
-use super::super::text::split_quoted;
+use super::super::text::quoted_fields;
 use super::Separator;
 
 /// The longest beginning of such a line that is kept.
@@ -134,13 +134,13 @@ fn prefix(text: &str, separator: Separator) -> usize {
 /// The names between separators, and whether all stand in quotes.
 fn cut(text: &str, separator: Separator) -> Vec<(Vec<String>, bool)> {
     let Some(character) = separator.character() else { return cut_words(text) };
-    split_quoted(text, character).map(named).into_iter().collect()
+    quoted_fields(text, character as u8).map(named).into_iter().collect()
 }
 
 /// The same between blanks, where a unit in brackets may stand apart from its name.
 fn cut_words(text: &str) -> Vec<(Vec<String>, bool)> {
     let single = text.split_whitespace().collect::<Vec<_>>().join(" ");
-    let Some((words, quoted)) = split_quoted(&single, ' ').map(named) else { return Vec::new() };
+    let Some((words, quoted)) = quoted_fields(&single, b' ').map(named) else { return Vec::new() };
     let mut joined: Vec<String> = Vec::new();
     for word in &words {
         match joined.last_mut() {

@@ -14,7 +14,7 @@ mod thousands;
 
 use std::fmt;
 
-use super::kind::{Begun, Choices, Kind, Mark, Opened, Rows};
+use super::kind::{Begun, Choices, FormatKind, Mark, Opened, Rows};
 use super::numbers::{Storage, put_rows};
 use super::reading::{AXES, DECIMAL, SEPARATOR};
 use super::source::Source;
@@ -43,7 +43,7 @@ impl Format {
     }
 }
 
-impl Kind for Xyz {
+impl FormatKind for Xyz {
     /// Whatever is text, and nothing else.
     const MARK: Mark = Mark::Lines(|_| true);
     const NAMES: &'static [&'static str] = &["text"];
