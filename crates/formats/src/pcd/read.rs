@@ -368,8 +368,10 @@ fn viewpoint(words: &[String]) -> Origin {
     let numbers: Vec<f64> = words.iter().map_while(|word| word.parse().ok()).collect();
     match <[f64; 7]>::try_from(numbers) {
         Ok([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]) | Err(_) => Origin::default(),
-        Ok([x, y, z, w, i, j, k]) => {
-            Origin { sensor: Some([x, y, z]), orientation: Some([w, i, j, k]), ..Origin::default() }
+        Ok([x, y, z, turn @ ..]) => {
+            // Nothing is lost of one that was not turned.
+            let orientation = Some(turn).filter(|turn| *turn != [1.0, 0.0, 0.0, 0.0]);
+            Origin { sensor: Some([x, y, z]), orientation, ..Origin::default() }
         }
     }
 }

@@ -119,6 +119,11 @@ fn how_the_sensor_was_turned_is_told_where_it_is_lost() {
     let turned = Origin { orientation: Some([0.5, 0.5, 0.5, 0.5]), ..Origin::default() };
     let pcd = Format::Pcd { encoding: PcdEncoding::Binary, scalar: Scalar::F32 };
     assert!(pcd.cannot_hold(&[], &turned).is_empty());
+    // Not turned, it is not lost.
+    let text =
+        "# .PCD\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH 1\nVIEWPOINT 7 8 9 1 0 0 0\nDATA ascii\n1 2 3\n";
+    let plain = read(text.as_bytes()).expect("a cloud").origin;
+    assert_eq!((plain.sensor, Format::E57.cannot_hold(&[], &plain)), (Some([7.0, 8.0, 9.0]), Vec::new()));
     let others =
         [Format::E57, Format::TEXT, Format::Las { compressed: false }, Format::Colmap { binary: true }];
     for format in others.into_iter().chain([ply(PlyEncoding::Ascii, Scalar::F32)]) {

@@ -62,8 +62,8 @@ impl Seen {
     }
 }
 
-/// How good a fit is: points, numbers in them, no words, names that fit, nothing empty, points from the beginning on.
-type Score = (usize, usize, Reverse<usize>, bool, Reverse<usize>, Reverse<usize>);
+/// How good a fit is: points, numbers in them, no words. Of equals, see [`Fit::tie`].
+type Score = (usize, usize, Reverse<usize>);
 
 /// The dialect in which most lines are points of the same number of fields, and most fields numbers. None where no line is
 /// a point in any.
@@ -79,19 +79,35 @@ pub(super) fn best(lines: &[&Line], separator: Option<Separator>, decimal: Optio
         None if stands(',') => vec![Decimal::Point, Decimal::Comma],
         None => vec![Decimal::Point],
     };
-    let mut best: Option<(Score, Fit)> = None;
+    let mut fits: Vec<(Score, Fit)> = Vec::new();
     for separator in Separator::ALL.into_iter().filter(may_separate) {
         // A comma is not both.
         for &decimal in decimals.iter().filter(|one| (separator, **one) != (Separator::Comma, Decimal::Comma))
         {
             let dialect = Dialect { separator, decimal, quoted: false };
-            let Some((score, fit)) = scored(lines, dialect) else { continue };
-            if best.as_ref().is_none_or(|(most, _)| score > *most) {
-                best = Some((score, fit));
-            }
+            fits.extend(scored(lines, dialect));
         }
     }
-    best.map(|(_, fit)| fit)
+    let most = fits.iter().map(|(score, _)| *score).max()?;
+    fits.retain(|(score, _)| *score == most);
+    if fits.len() == 1 {
+        return fits.pop().map(|(_, fit)| fit);
+    }
+    // The first of those that are as good.
+    fits.into_iter().map(|(_, fit)| fit).rev().max_by_key(|fit| fit.tie(lines))
+}
+
+impl Fit {
+    /// What decides between fits of one score: names that fit, nothing empty, points from the beginning on. Lines are cut
+    /// into names for it.
+    fn tie(&self, lines: &[&Line]) -> (bool, Reverse<usize>, Reverse<usize>) {
+        let has_names = lines[..self.first].iter().any(|line| {
+            let heading = Heading::fitting(Heading::all(&line.bytes, self.dialect.separator), self.width);
+            heading.is_some_and(|heading| !matches!(heading.axes(), Ok(None)))
+        });
+        let points = self.lines.iter().filter(|line| line.is_row() && line.fields == self.width);
+        (has_names, Reverse(points.map(|line| line.empty).sum()), Reverse(self.first))
+    }
 }
 
 fn scored(lines: &[&Line], dialect: Dialect) -> Option<(Score, Fit)> {
@@ -105,14 +121,10 @@ fn scored(lines: &[&Line], dialect: Dialect) -> Option<(Score, Fit)> {
         numbers += line.numbers;
         empty += line.empty;
     }
-    let has_names = lines[..first].iter().any(|line| {
-        let heading = Heading::fitting(Heading::all(&line.bytes, dialect.separator), width);
-        heading.is_some_and(|heading| !matches!(heading.axes(), Ok(None)))
-    });
     let words = rows * width - numbers - empty;
     let quoted = lines[first..].iter().any(|line| line.bytes.contains(&b'"'));
     let fit = Fit { dialect: Dialect { quoted, ..dialect }, width, lines: seen, first };
-    Some(((rows, numbers, Reverse(words), has_names, Reverse(empty), Reverse(first)), fit))
+    Some(((rows, numbers, Reverse(words)), fit))
 }
 
 /// The most common number, the first of those that are as common.
