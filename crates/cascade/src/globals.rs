@@ -89,7 +89,7 @@ pub(crate) fn usual_spacing(spacings: &[f32]) -> f32 {
 
 /// The logarithm of the mean of some areas.
 pub(crate) fn usual_logarithm(areas: &[f32]) -> f32 {
-    (areas.iter().sum::<f32>() / areas.len() as f32).ln()
+    ((areas.iter().copied().map(f64::from).sum::<f64>() / areas.len() as f64) as f32).ln()
 }
 
 /// Variation of the distances to the nearest other, in the spacing there: even samples have 0.07 to 0.1, random ones 0.39
@@ -147,9 +147,11 @@ const CLEAN: f32 = 0.035;
 /// How far the input is to be trusted, from 0 to 1: by the `offsets` of its points from the surface that the units made of
 /// them, in their spacing.
 pub(crate) fn trust(offsets: &[Point], spacing: &[f32]) -> f32 {
-    let square = |(o, spacing): (&Point, &f32)| o.iter().map(|c| (c / spacing).powi(2)).sum::<f32>();
-    let squares: f32 = offsets.iter().zip(spacing).map(square).sum();
-    let share = CLEAN * CLEAN / (squares / offsets.len() as f32).max(f32::MIN_POSITIVE);
+    let square =
+        |(o, spacing): (&Point, &f32)| f64::from(o.iter().map(|c| (c / spacing).powi(2)).sum::<f32>());
+    // In f32 the sum over millions of points would stand still.
+    let squares: f64 = offsets.iter().zip(spacing).map(square).sum();
+    let share = CLEAN * CLEAN / ((squares / offsets.len() as f64) as f32).max(f32::MIN_POSITIVE);
     // Steep, since noise that is no larger than the units' own errors is rare.
     share.powi(4).min(1.0)
 }

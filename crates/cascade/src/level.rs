@@ -5,7 +5,7 @@ use super::measured::Reference;
 use super::patches::Patches;
 use super::polish::{Sizes, polish};
 use super::runner::{FeatureTable, LevelInput, LevelOutput, LevelRunner};
-use super::share::{Neighbourhoods, sample};
+use super::share::{Neighbourhoods, Spread, sample};
 use super::skip::SkipNeighbours;
 use super::strays::{StrayLimits, without_strays};
 use super::{BackendError, CascadeError, CascadeOptions, Observer, Stage};
@@ -32,14 +32,20 @@ pub(super) struct Level {
 pub(super) struct Handover {
     /// The level's result, distinct, in local coordinates.
     pub(super) points: Vec<Point>,
-    /// For each point the spacing of the input there; none where the whole is to be equally dense.
+    /// For each point the spacing of the input there; none before the first level, and where the whole is to be equally
+    /// dense.
     pub(super) local: Option<Vec<f32>>,
     /// Features for the next level; none before the first level, and where there is none.
     pub(super) previous: Option<Previous>,
     /// The cascade's input, to measure strays against; none before the first level, whose input it is.
     pub(super) reference: Option<Reference>,
-    /// Of the input, before the first level.
-    pub(super) neighbourhoods: Option<Neighbourhoods>,
+}
+
+impl Handover {
+    /// The cascade's input, to its first level.
+    pub(super) fn input(points: Vec<Point>) -> Self {
+        Self { points, local: None, previous: None, reference: None }
+    }
 }
 
 /// What a level leaves of its input: the points and their features.
@@ -61,12 +67,17 @@ impl Level {
     /// Runs the level on what the one before it gave.
     pub(super) fn run(
         self,
-        Handover { points, local, previous, reference, neighbourhoods }: Handover,
+        Handover { points, local, previous, reference }: Handover,
         run: &Run<'_>,
         globals: &mut Globals,
     ) -> Result<Handover, CascadeError> {
         let Self { number, size, last } = self;
         let Run { options, runner, observer } = *run;
+        let neighbourhoods = match (&reference, options.spread) {
+            (None, Spread::Neighbourhood) => Some(Neighbourhoods::of(&points, &mut globals.usual_point)?),
+            _ => None,
+        };
+        let local = local.or_else(|| neighbourhoods.as_ref().map(|of| of.spacing.clone()));
         // Each level draws from its own stream, so that a ratio's levels do not depend on how many
         // follow.
         let mut random = Rng::new(options.seed.wrapping_add((number as u64) << 32));
@@ -96,8 +107,8 @@ impl Level {
         let (rows, spacing) = patches.into_rows_and_spacing();
         // The features that this level read are what takes most memory: gone before sampling begins.
         drop((previous, skip));
-        let reference = reference
-            .unwrap_or_else(|| Reference { neighbourhoods, ..Reference::new(&points, spacing, globals) });
+        let reference =
+            reference.unwrap_or_else(|| Reference::new(&points, spacing, neighbourhoods, globals));
         let doubled = 2 * points.len();
         let share = |polished: f64| if options.polish { (polished * size as f64) as usize } else { size };
         let limits = StrayLimits {
@@ -134,6 +145,6 @@ impl Level {
             (kept.iter().map(|&i| merged[i as usize]).collect(), local)
         };
         let reference = (!last).then_some(reference);
-        Ok(Handover { points, local, previous, reference, neighbourhoods: None })
+        Ok(Handover { points, local, previous, reference })
     }
 }

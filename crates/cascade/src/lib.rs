@@ -73,7 +73,6 @@ use globals::Globals;
 use input::Input;
 use level::{Handover, Level, Run};
 use plan::Plan;
-use share::Neighbourhoods;
 
 /// How to run the cascade; the defaults are what the shipped model was measured with.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -262,12 +261,7 @@ fn cascade(
     }
     run.observer.plan(&globals.sizes);
     let levels = globals.sizes.len();
-    let neighbourhoods = match run.options.spread {
-        Spread::Neighbourhood => Some(Neighbourhoods::of(&together, &mut globals.usual_point)?),
-        Spread::Area => None,
-    };
-    let local = neighbourhoods.as_ref().map(|n| n.spacing.clone());
-    let mut handover = Handover { points: together, local, previous: None, reference: None, neighbourhoods };
+    let mut handover = Handover::input(together);
     for number in 0..levels {
         let level = Level { number, size: globals.sizes[number], last: number + 1 == levels };
         handover = level.run(handover, run, globals)?;

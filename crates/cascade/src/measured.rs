@@ -22,10 +22,15 @@ pub(super) struct Reference {
 
 impl Reference {
     /// `spacing` of each of the input's `points`. O(n log n).
-    pub(super) fn new(points: &[Point], spacing: Vec<f32>, globals: &mut Globals) -> Self {
+    pub(super) fn new(
+        points: &[Point],
+        spacing: Vec<f32>,
+        neighbourhoods: Option<Neighbourhoods>,
+        globals: &mut Globals,
+    ) -> Self {
         let input = Measured::new(points, spacing);
         let borders = Borders::of(&input, &mut globals.evenness);
-        Self { input, borders, neighbourhoods: None }
+        Self { input, borders, neighbourhoods }
     }
 
     /// The local spacing at the input points `nearest` to others; none where the whole is to be equally dense.

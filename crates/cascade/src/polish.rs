@@ -344,7 +344,7 @@ mod tests {
 
     fn reference(points: &[Point], spacing: f32) -> Reference {
         let frame = Frame::fit(&[[0.0; 3], [1.0; 3]]).unwrap();
-        Reference::new(points, vec![spacing; points.len()], &mut Globals::new(frame))
+        Reference::new(points, vec![spacing; points.len()], None, &mut Globals::new(frame))
     }
 
     fn polished(made: &[Point], full: usize, size: usize, reference: &Reference) -> Vec<Point> {

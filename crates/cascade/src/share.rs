@@ -92,7 +92,7 @@ impl Neighbourhoods {
     /// # Errors
     /// There is no memory for them.
     pub(super) fn of(points: &[Point], usual: &mut Option<f32>) -> Result<Self, CascadeError> {
-        let scale = Scale::of(points)?;
+        let scale = Scale::of(points, &KdTree::new(points))?;
         let area = |(i, near): (usize, &[u32])| area(points, points[i], near);
         let areas: Vec<f32> = scale.members.par_chunks_exact(scale.row).enumerate().map(area).collect();
         let spacing = scale.spacing(&areas, usual);
@@ -107,15 +107,15 @@ impl Neighbourhoods {
 }
 
 impl Scale {
-    fn of(points: &[Point]) -> Result<Self, CascadeError> {
-        let tree = KdTree::new(points);
+    /// `tree` must be built from `points`.
+    fn of(points: &[Point], tree: &KdTree) -> Result<Self, CascadeError> {
         let row = REGION.min(points.len());
         let mut members = filled(0_u32, row * points.len())?;
-        for (&i, near) in tree.order().iter().zip(nearest_of::<REGION>(&tree, points, tree.order())?) {
+        for (&i, near) in tree.order().iter().zip(nearest_of::<REGION>(tree, points, tree.order())?) {
             members[i as usize * row..][..row].copy_from_slice(&near[..row]);
         }
         let coarser =
-            if points.len() >= COARSER * REGION { Some(Box::new(Coarser::of(&tree, points)?)) } else { None };
+            if points.len() >= COARSER * REGION { Some(Box::new(Coarser::of(tree, points)?)) } else { None };
         Ok(Self { members, row, coarser })
     }
 
@@ -148,13 +148,12 @@ impl Coarser {
     fn of(tree: &KdTree, points: &[Point]) -> Result<Self, CascadeError> {
         let of: Vec<u32> = tree.order().iter().copied().step_by(COARSER).collect();
         let few: Vec<Point> = of.iter().map(|&i| points[i as usize]).collect();
+        let theirs = KdTree::new(&few);
         let mut nearest = filled([0; NEAREST], points.len())?;
-        for (&i, near) in
-            tree.order().iter().zip(nearest_of::<NEAREST>(&KdTree::new(&few), points, tree.order())?)
-        {
+        for (&i, near) in tree.order().iter().zip(nearest_of::<NEAREST>(&theirs, points, tree.order())?) {
             nearest[i as usize] = near;
         }
-        Ok(Self { of, nearest, scale: Scale::of(&few)? })
+        Ok(Self { of, nearest, scale: Scale::of(&few, &theirs)? })
     }
 }
 

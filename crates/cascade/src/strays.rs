@@ -85,7 +85,7 @@ mod tests {
 
     fn reference(points: &[Point]) -> Reference {
         let frame = Frame::fit(&[[0.0; 3], [1.0; 3]]).unwrap();
-        Reference::new(points, vec![1.0; points.len()], &mut Globals::new(frame))
+        Reference::new(points, vec![1.0; points.len()], None, &mut Globals::new(frame))
     }
 
     /// What is left where so many are wanted and needed, and points are moved and far by no more than this.

@@ -2,7 +2,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use super::*;
-use crate::{Backend, Fake};
+use crate::{Backend, Batch, Fake, Output, Session};
+use densecloud_cloud::Point;
 use densecloud_geometry::Rng;
 
 fn runner() -> impl LevelRunner {
@@ -77,14 +78,55 @@ fn every_neighbourhood_gets_its_share() {
     }
 }
 
+/// A backend that lifts every second of its points, but for those of a level's first patch.
+#[derive(Clone)]
+struct Lifting(Fake, Point);
+
+impl Backend for Lifting {
+    fn shape(&self) -> UnitShape {
+        self.0.shape
+    }
+
+    fn units(&self) -> usize {
+        self.0.units()
+    }
+
+    fn provider(&self) -> &str {
+        self.0.provider()
+    }
+
+    fn open(&self) -> Result<Box<dyn Session>, BackendError> {
+        Ok(Box::new(self.clone()))
+    }
+}
+
+impl Session for Lifting {
+    fn run(&mut self, unit: usize, batch: &Batch<'_>, output: &mut Output) -> Result<(), BackendError> {
+        self.0.run(unit, batch, output)?;
+        // A patch's own points come first, then the new ones.
+        for new in output.dense.chunks_exact_mut(3).skip(batch.patch_points).step_by(2) {
+            new.iter_mut().zip(self.1).for_each(|(c, by)| *c += by);
+        }
+        Ok(())
+    }
+}
+
 #[test]
 fn a_plane_stays_a_plane() {
     // Random points to the border of a floor, tilted so that no coordinate is constant.
-    let floor =
-        squares(&[(0.0, 40.0, 1600)], 3).into_iter().map(|[x, y, _]| [x, y, 0.25 * x - 0.5 * y + 7.0]);
-    let dense = run(&floor.collect::<Vec<_>>(), 4.0, 2).unwrap().positions;
-    let worst = dense.iter().map(|p| (p[2] - (0.25 * p[0] - 0.5 * p[1] + 7.0)).abs()).fold(0.0, f64::max);
-    assert!(worst < 1e-4, "{worst}");
+    let height = |x: f64, y: f64| 0.25 * x - 0.5 * y + 7.0;
+    let floor = squares(&[(0.0, 40.0, 1600)], 3).into_iter().map(|[x, y, _]| [x, y, height(x, y)]);
+    let floor: Vec<Position> = floor.collect();
+    // A fifth of the spacing, along the normal.
+    let runner = Patchwise::new(Arc::new(Lifting(Fake::new(), [-0.013, 0.027, 0.053])));
+    let options = CascadeOptions::default();
+    let off =
+        |points: &[Position]| points.iter().map(|p| (p[2] - height(p[0], p[1])).abs()).fold(0.0, f64::max);
+    let rough = CascadeOptions { polish: false, ..options };
+    let lifted = upsample(&floor, Target::Ratio(4.0), &rough, &runner, &Silent).unwrap().positions;
+    assert!(off(&lifted) > 0.1, "the units lift: {}", off(&lifted));
+    let dense = upsample(&floor, Target::Ratio(4.0), &options, &runner, &Silent).unwrap().positions;
+    assert!(off(&dense) < 1e-4, "{}", off(&dense));
 }
 
 #[test]
@@ -410,10 +452,15 @@ fn what_is_known_of_the_whole_is_not_looked_for_again() {
     assert!(changed(&square, |g| g.evenness = Some(1.0 - g.evenness.unwrap().round())), "the evenness");
     let changed = |change| changed(&cloud, change);
     assert!(changed(|g| g.usual_spacings[0] = Some(0.001)), "the usual spacing");
+    assert!(changed(|g| g.usual_point = g.usual_point.map(|p| p + 0.5)), "the usual point's area");
     assert!(changed(|g| g.levels[0].usual_distance = Some(0.01)), "the usual distance");
     assert!(changed(|g| g.levels[1].most_strayed = Some(0.5)), "how far points may stray");
     assert!(changed(|g| g.polish.trust = g.polish.trust.map(|t| 1.0 - t.round())), "the trust");
     assert!(changed(|g| g.polish.input_a_sample = Some(1.0)), "the density");
+    assert!(
+        changed(|g| g.polish.usual_point = g.polish.usual_point.map(|p| p + 0.5)),
+        "its area in the polish"
+    );
     assert!(changed(|g| g.polish.midpoints = Some(0)), "the midpoints");
     assert!(changed(|g| g.polish.usual_area = g.polish.usual_area.map(|a| 3.0 * a)), "the usual area");
     assert!(
