@@ -65,6 +65,7 @@ fn options() -> impl Strategy<Value = Vec<(&'static str, String)>> {
         ("max_distance", "1.2"),
         ("no_polish", "true"),
         ("spread", "area"),
+        ("quality", "best"),
     ];
     let some = proptest::sample::subsequence(others.to_vec(), 0..=5);
     (goal, some).prop_map(|(goal, some)| {

@@ -3,6 +3,7 @@
 use super::globals::Globals;
 use super::measured::Reference;
 use super::patches::Patches;
+use super::plan::Quality;
 use super::polish::{Sizes, polish};
 use super::runner::{FeatureTable, LevelInput, LevelOutput, LevelRunner};
 use super::share::{Neighbourhoods, Spread, sample};
@@ -111,10 +112,16 @@ impl Level {
             reference.unwrap_or_else(|| Reference::new(&points, spacing, neighbourhoods, globals));
         let doubled = 2 * points.len();
         let share = |polished: f64| if options.polish { (polished * size as f64) as usize } else { size };
+        let wanted = match options.quality {
+            // Twice as many as are kept: none of the strayed need make up for what lacks.
+            Quality::Best if last => size,
+            _ if options.polish => doubled,
+            _ => doubled.max(size),
+        };
         let limits = StrayLimits {
             displacement: options.max_displacement as f32,
             distance: options.max_distance as f32,
-            wanted: if options.polish { doubled } else { doubled.max(size) },
+            wanted,
             least: share(ENOUGH),
         };
         let merged = without_strays(&made, &limits, &reference, &mut globals.levels[number]);

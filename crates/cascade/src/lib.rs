@@ -57,7 +57,7 @@ pub use input::distinct;
 pub use observer::{Observer, Silent, Stage};
 pub use patches::Patches;
 pub use patchwise::{OnDemand, Patchwise, Sessions, Workspace};
-pub use plan::{MAX_RATIO, Target};
+pub use plan::{MAX_RATIO, Quality, Target};
 pub use runner::{
     BackendError, Demand, FeatureTable, LevelInput, LevelOutput, LevelRunner, MadePoint, UnitShape,
 };
@@ -99,6 +99,8 @@ pub struct CascadeOptions {
     pub polish: bool,
     /// Whether each neighbourhood gets its share of the points, or the whole becomes equally dense.
     pub spread: Spread,
+    /// Whether a level more is run, to choose among its points.
+    pub quality: Quality,
     /// Chooses where farthest point sampling starts, hence which of many equally good results.
     pub seed: u64,
 }
@@ -112,6 +114,7 @@ impl Default for CascadeOptions {
             max_distance: 1.5,
             polish: true,
             spread: Spread::default(),
+            quality: Quality::default(),
             seed: 0,
         }
     }
@@ -254,7 +257,7 @@ fn cascade(
 ) -> Result<Upsampled, CascadeError> {
     let Input { frame, points, finite, non_finite } = input;
     let (shape, duplicates) = (run.runner.shape(), finite - points.len());
-    let plan = Plan::new(target, finite, points.len(), duplicates, shape)?;
+    let plan = Plan::new(target, run.options.quality, finite, points.len(), shape)?;
     let Parted { together, apart } = Parted::of(points, shape.neighbours + 1, globals);
     if globals.sizes.is_empty() {
         globals.plan(plan.without(apart.len(), together.len(), run.options.polish).sizes);

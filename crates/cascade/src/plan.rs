@@ -1,5 +1,8 @@
 //! From a target to the sizes of the levels.
 
+use std::fmt;
+use std::str::FromStr;
+
 use super::{CascadeError, check_count};
 use crate::runner::UnitShape;
 
@@ -36,6 +39,38 @@ impl Target {
     }
 }
 
+/// How many points the last level makes for those that are kept.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum Quality {
+    /// As few levels as give the target.
+    #[default]
+    Standard,
+    /// A level more, from whose points, twice as many as wanted at least, the result is chosen: what lies in gaps is
+    /// covered better. About twice the work.
+    Best,
+}
+
+impl fmt::Display for Quality {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Standard => "standard",
+            Self::Best => "best",
+        })
+    }
+}
+
+impl FromStr for Quality {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text {
+            "standard" => Ok(Self::Standard),
+            "best" => Ok(Self::Best),
+            _ => Err(format!("{text:?}; there are `standard` and `best`")),
+        }
+    }
+}
+
 /// A polished level may output up to 1.25 × (2 × its input points).
 const SPARE: f64 = 1.25;
 
@@ -49,11 +84,12 @@ impl Plan {
     /// `finite` input points, of which `distinct` differ.
     pub(super) fn new(
         target: Target,
+        quality: Quality,
         finite: usize,
         distinct: usize,
-        duplicates: usize,
         shape: UnitShape,
     ) -> Result<Self, CascadeError> {
+        let duplicates = finite - distinct;
         let wanted = target.points_out(finite as u64)?.try_into().unwrap_or(usize::MAX);
         check_count(wanted)?;
         let needed = shape.neighbours + 1;
@@ -68,6 +104,10 @@ impl Plan {
         while sizes.is_empty() || size < wanted {
             size *= 2;
             sizes.push(size.min(wanted));
+        }
+        if quality == Quality::Best {
+            check_count(wanted.saturating_mul(2))?;
+            sizes.push(wanted);
         }
         Ok(Self { sizes })
     }
@@ -97,7 +137,7 @@ mod tests {
     const SHAPE: UnitShape = UnitShape { patch_size: 312, neighbours: 32, channels: 264 };
 
     fn sizes(target: Target, finite: usize, distinct: usize) -> Vec<usize> {
-        Plan::new(target, finite, distinct, finite - distinct, SHAPE).unwrap().sizes
+        Plan::new(target, Quality::Standard, finite, distinct, SHAPE).unwrap().sizes
     }
 
     #[test]
@@ -117,14 +157,34 @@ mod tests {
     }
 
     #[test]
+    fn the_best_quality_takes_a_level_more() {
+        let of = |ratio| Plan::new(Target::Ratio(ratio), Quality::Best, 1000, 1000, SHAPE).unwrap();
+        assert_eq!(of(1.0).sizes, [1000, 1000]);
+        assert_eq!(of(3.0).sizes, [2000, 3000, 3000]);
+        assert_eq!(of(4.0).sizes, [2000, 4000, 4000]);
+        assert_eq!(of(4.0).without(100, 900, true).sizes, [1800, 3600, 3900]);
+        let large = Plan::new(Target::Points(3 << 30), Quality::Best, 1 << 30, 1 << 30, SHAPE).unwrap_err();
+        assert!(matches!(large, CascadeError::TooManyPoints(_)), "{large}");
+    }
+
+    #[test]
+    fn a_quality_is_read_as_it_is_told() {
+        for quality in [Quality::Standard, Quality::Best] {
+            assert_eq!(quality.to_string().parse(), Ok(quality));
+        }
+        assert!("good".parse::<Quality>().expect_err("an error").contains("`best`"));
+    }
+
+    #[test]
     fn duplicates_count_towards_the_target() {
         assert_eq!(sizes(Target::Ratio(2.0), 1000, 400), [800, 1600, 2000]);
     }
 
     #[test]
     fn points_apart_take_none_of_the_levels_and_cost_none() {
+        let quality = Quality::Standard;
         let of = |ratio, apart, polished| {
-            let plan = Plan::new(Target::Ratio(ratio), 1000, 1000, 0, SHAPE).unwrap();
+            let plan = Plan::new(Target::Ratio(ratio), quality, 1000, 1000, SHAPE).unwrap();
             plan.without(apart, 1000 - apart, polished).sizes
         };
         assert_eq!(of(4.0, 0, true), [2000, 4000]);
@@ -143,11 +203,11 @@ mod tests {
         for points in [0, 9, 641] {
             assert!(matches!(Target::Points(points).points_out(10), Err(CascadeError::Points { .. })));
         }
-        let few = Plan::new(Target::Ratio(2.0), 40, 32, 8, SHAPE).unwrap_err();
+        let few = Plan::new(Target::Ratio(2.0), Quality::Best, 40, 32, SHAPE).unwrap_err();
         assert!(few.to_string().contains("at least 33"), "{few}");
-        let large = Plan::new(Target::Ratio(64.0), 1 << 27, 1 << 27, 0, SHAPE).unwrap_err();
+        let large = Plan::new(Target::Ratio(64.0), Quality::Standard, 1 << 27, 1 << 27, SHAPE).unwrap_err();
         assert!(large.to_string().starts_with("8589934592 points are more than the 4294967295"), "{large}");
-        let same = Plan::new(Target::Ratio(64.0), 1000, 400, 600, SHAPE).unwrap_err();
+        let same = Plan::new(Target::Ratio(64.0), Quality::Standard, 1000, 400, SHAPE).unwrap_err();
         assert!(matches!(same, CascadeError::TooManyDuplicates { distinct: 400, total: 1000 }));
     }
 }

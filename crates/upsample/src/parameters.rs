@@ -80,7 +80,7 @@ impl fmt::Display for Value {
 }
 
 /// Every option, in the order of help texts.
-pub static PARAMETERS: [Parameter; 20] = [
+pub static PARAMETERS: [Parameter; 21] = [
     Parameter {
         name: "ratio",
         short: Some('r'),
@@ -283,6 +283,19 @@ pub static PARAMETERS: [Parameter; 20] = [
             Ok(())
         },
         tell: |options| Some(Value::Text(options.cascade.spread.to_string())),
+    },
+    Parameter {
+        name: "quality",
+        short: None,
+        value: Some("HOW"),
+        help: "`best` makes twice as many points as are wanted and chooses among them: better coverage, about twice the \
+               work; `standard` does not",
+        topic: Topic::Cascade,
+        read: |options, text| {
+            options.cascade.quality = text.parse()?;
+            Ok(())
+        },
+        tell: |options| Some(Value::Text(options.cascade.quality.to_string())),
     },
     Parameter {
         name: "attributes",

@@ -18,7 +18,8 @@ pub const MARK: &str = "densecloud: ";
 pub fn line(model: &ModelName, request: &Request, reading: &Reading) -> String {
     // In full, so that nobody adds an option without deciding whether it belongs here.
     let Request { cloud, target, settings, finish, plan: _ } = request;
-    let CascadeOptions { seed, overlap, inner, max_displacement, max_distance, polish, spread } = settings;
+    let CascadeOptions { seed, overlap, inner, max_displacement, max_distance, polish, spread, quality } =
+        settings;
     let Finish { rules, keep_input, source_fields: _, estimate_normals, sensor } = finish;
     let Reading { format, axes, separator, decimal } = reading;
     let mut line = format!(
@@ -47,6 +48,7 @@ pub fn line(model: &ModelName, request: &Request, reading: &Reading) -> String {
     add("max_distance", max_distance);
     add("polish", polish);
     add("spread", spread);
+    add("quality", quality);
     if *keep_input {
         add("keep_input", &true);
     }

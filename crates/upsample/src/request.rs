@@ -1,6 +1,8 @@
 //! The work itself: a request, and what is made of it.
 
-use densecloud_cascade::{CascadeError, CascadeOptions, LevelRunner, Observer, Stage, Target, upsample};
+use densecloud_cascade::{
+    CascadeError, CascadeOptions, LevelRunner, Observer, Quality, Stage, Target, upsample,
+};
 use densecloud_cloud::{Attribute, Cloud, Position};
 
 use crate::attributes::{self, Finish, Plan};
@@ -32,9 +34,11 @@ impl Request {
     /// work grows with the overlap, and the points to merge with the overlap times the inner share; the larger growth counts.
     #[must_use]
     pub fn effort(&self) -> f64 {
-        let (usual, CascadeOptions { overlap, inner, .. }) = (CascadeOptions::default(), self.settings);
+        let (usual, CascadeOptions { overlap, inner, quality, .. }) =
+            (CascadeOptions::default(), self.settings);
         let (run, merged) = (overlap / usual.overlap, overlap * inner / (usual.overlap * usual.inner));
-        run.max(merged).max(1.0)
+        let levels = if quality == Quality::Best { 2.0 } else { 1.0 };
+        levels * run.max(merged).max(1.0)
     }
 
     /// Runs the cascade and finishes what it made, on the current rayon pool. `observer` hears of the cascade's stages,

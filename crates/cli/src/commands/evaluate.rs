@@ -146,6 +146,7 @@ pub(super) fn run(args: &EvaluateArgs) -> Result<(), CliError> {
                 max_distance: settings.max_distance,
                 polish: settings.polish,
                 spread: settings.spread.to_string(),
+                quality: settings.quality.to_string(),
             })
         }
         Some(_) => None,

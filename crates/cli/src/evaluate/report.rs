@@ -57,6 +57,8 @@ pub(crate) struct CascadeSettings {
     pub(crate) polish: bool,
     /// Where the points went: by neighbourhood, or by area.
     pub(crate) spread: String,
+    /// Whether a level more was run.
+    pub(crate) quality: String,
 }
 
 /// What was scored.
