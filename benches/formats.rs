@@ -2,11 +2,12 @@
 //!
 //! Prints the median, the extremes, and the points a second of the median.
 
+use std::fmt::Write as _;
 use std::hint::black_box;
 use std::time::Instant;
 
-use densecloud_cloud::Origin;
-use densecloud_formats::{CloudReader, Format, Limits, PlyEncoding, Scalar, encode};
+use densecloud_cloud::{Attribute, Origin, Position, Values};
+use densecloud_formats::{CloudReader, Decimal, Format, Limits, PlyEncoding, Scalar, Separator, encode};
 use densecloud_geometry::{shape, uniform};
 
 const POINTS: usize = 1_000_000;
@@ -16,22 +17,54 @@ fn main() {
     let mesh = shape("knot").expect("a built-in shape");
     let positions = uniform(&mesh, POINTS, 1).expect("points");
     let ply = |encoding, scalar| Format::Ply { encoding, scalar };
-    for (name, format) in [
-        ("PLY, binary, float", ply(PlyEncoding::BinaryLittleEndian, Scalar::F32)),
-        ("PLY, binary, double", ply(PlyEncoding::BinaryLittleEndian, Scalar::F64)),
-        ("PLY, ascii", ply(PlyEncoding::Ascii, Scalar::F64)),
-        ("XYZ", Format::TEXT),
-        ("LAS", Format::Las { compressed: false }),
-        ("LAZ", Format::Las { compressed: true }),
+    let columns = |separator| Format::Xyz { names: true, separator, decimal: Decimal::Point };
+    let (bare, colours) = (Vec::new(), colours());
+    for (name, format, attributes) in [
+        ("PLY, binary, float", ply(PlyEncoding::BinaryLittleEndian, Scalar::F32), &bare),
+        ("PLY, binary, double", ply(PlyEncoding::BinaryLittleEndian, Scalar::F64), &bare),
+        ("PLY, ascii", ply(PlyEncoding::Ascii, Scalar::F64), &bare),
+        ("XYZ", Format::TEXT, &bare),
+        ("XYZ, names, colours", columns(Separator::Space), &colours),
+        ("CSV, names, colours", columns(Separator::Comma), &colours),
+        ("LAS", Format::Las { compressed: false }, &bare),
+        ("LAZ", Format::Las { compressed: true }, &bare),
+        ("LAS, colours", Format::Las { compressed: false }, &colours),
+        ("LAZ, colours", Format::Las { compressed: true }, &colours),
     ] {
-        let write = || encode(Vec::new(), format, &positions, &[], &Origin::default()).expect("a file");
+        let write =
+            || encode(Vec::new(), format, &positions, attributes, &Origin::default()).expect("a file");
         let bytes = write();
         time(&format!("write {name}"), runs, || write().len());
-        time(&format!("read {name}"), runs, || {
-            let reader = CloudReader::open(&bytes[..], Limits::default()).expect("a header");
-            reader.read().expect("points").positions.len()
-        });
+        time_reading(name, runs, &bytes);
     }
+    time_reading("PTS, three decimals", runs, pts(&positions).as_bytes());
+}
+
+fn colours() -> Vec<Attribute> {
+    let part = |(shift, name): (usize, &str)| Attribute {
+        name: name.to_owned(),
+        values: Values::U8((0..POINTS).map(|i| (i >> shift) as u8).collect()),
+    };
+    ["red", "green", "blue"].into_iter().enumerate().map(part).collect()
+}
+
+/// As scanners write it: a count, then positions, an intensity and a colour. No number tells that its points begin fractions
+/// and part no thousands, so that each is looked at.
+fn pts(positions: &[Position]) -> String {
+    let mut text = format!("{POINTS}\n");
+    for (i, position) in positions.iter().enumerate() {
+        let [x, y, z] = position.map(|c| 500.0 + 100.0 * c);
+        let (intensity, red) = (i % 4096, i % 256);
+        writeln!(text, "{x:.3} {y:.3} {z:.3} {intensity} {red} 0 255").expect("memory");
+    }
+    text
+}
+
+fn time_reading(name: &str, runs: usize, bytes: &[u8]) {
+    time(&format!("read {name}"), runs, || {
+        let reader = CloudReader::open(bytes, Limits::default()).expect("a header");
+        reader.read().expect("points").positions.len()
+    });
 }
 
 fn time(name: &str, runs: usize, mut work: impl FnMut() -> usize) {
