@@ -96,7 +96,7 @@ struct Inspection<'a> {
 const SECONDS_A_POINT: f64 = 2.2e-5;
 
 /// Bytes at the peak for a point out (BENCHMARKS.md), beside those that the program itself takes.
-const BYTES_A_POINT: f64 = 400.0;
+const BYTES_A_POINT: f64 = 430.0;
 const BYTES: f64 = 5e7;
 
 /// Spacings of the source from which a point counts as far from it.
