@@ -20,6 +20,8 @@ MOST_HELD_OUT = 20_000
 # From this share of neighbourhoods on that are no surface (`real.roughness`) a scan teaches noise. A head of 1,400
 # points has 0.7, trees from the air 0.3, points strewn in a volume 1.
 NO_SURFACE = 0.9
+# Points lie on a line if they are nearer to one than this share of the size of the cloud, added up as squares.
+ON_A_LINE = 1e-6
 # What tells a point's scan line, and its place in that; where the second is missing, the order in the file does.
 LINES = ("beam", "ring", "row_index", "row", "scan_line")
 PLACES = ("column", "column_index", "col")
@@ -54,6 +56,8 @@ def check(scan: OwnScan, file: Path) -> None:
         raise InputError(f"{file}: all points are the same one")
     if count < LEAST:
         raise InputError(f"{file}: {count:,} distinct points; adapting needs {LEAST:,}")
+    if np.linalg.matrix_rank(scan.points - scan.points.mean(0), tol=ON_A_LINE * np.ptp(scan.points, axis=0).max()) < 2:
+        raise InputError(f"{file}: all points lie on a line")
     off = roughness(Truth.of(scan.points))[1]
     if off > NO_SURFACE:
         raise InputError(f"{file}: no surface around {100 * off:.0f} % of the points, so there is none to learn")

@@ -42,6 +42,7 @@ def grid(lines: int = 80, places: int = 80) -> OwnScan:
     [
         (np.zeros((1, 3)), "all points are the same one"),
         (room(4_999), "4,999 distinct points; adapting needs 5,000"),
+        (np.outer(np.arange(6_000), [1.0, 2.0, 3.0]) + 5e5, "all points lie on a line"),
         (np.random.default_rng(0).random((6_000, 3)), "no surface around 100 %"),
     ],
 )
