@@ -255,6 +255,16 @@ def test_only_the_unit_of_4x_learns_if_asked(monkeypatch, scan, base, tmp_path):
     assert changed == [False, True, False, False]
 
 
+def test_batches_of_meshes_are_mixed_in_if_asked(prepared):
+    config = configs.load(configs.CONFIGS / "default.toml")
+    own = ScanPatches([OwnScan("room", room())], config.patch, config.data.reference_margin)
+    source = adapt.with_meshes(own, config, prepared)
+    # A mesh's target is four times as dense as the prediction, and far from a scan's in number.
+    sizes = {source.draw(1, 2).reference.shape[1] for _ in range(12)}
+    meshes = {int(config.patch * 2**level * config.data.reference_margin) for level in (1, 2, 3)}
+    assert sizes & meshes and sizes - meshes
+
+
 def test_a_failure_leaves_nothing_behind(monkeypatch, scan, base, tmp_path):
     def fail(self, *arguments):
         raise ProgramError("it failed")
