@@ -1,5 +1,6 @@
 //! Work that was let in and has not come yet: its points are taken, its cloud is being sent, or waits to be parsed.
 
+use std::collections::HashMap;
 use std::time::{Duration, Instant};
 
 use super::client::Client;
@@ -63,17 +64,27 @@ impl Coming {
         self.all.is_empty()
     }
 
-    /// How long the work in a lane will take that will wait there, one client's or all for `None`. The first `idle` of all
-    /// do not: threads have nothing else to do than them.
-    pub(super) fn time(&self, client: Option<&Client>, lane: Lane, idle: usize, now: Instant) -> Duration {
-        let coming = |expected: &&Expected| {
-            let slow =
-                expected.since.is_some_and(|since| now.saturating_duration_since(since) > self.patience);
-            expected.lane == lane && !slow
-        };
-        let waiting = self.all.iter().filter(coming).skip(idle);
-        let mine = waiting.filter(|expected| client.is_none_or(|client| *client == expected.client));
-        mine.map(|expected| expected.time).sum()
+    /// How long the work of one client will take that will wait in a lane. The first `idle` of all do not wait: threads have
+    /// nothing else to do than them. O(what is on its way).
+    pub(super) fn time(&self, client: &Client, lane: Lane, idle: usize, now: Instant) -> Duration {
+        let waiting = self.waiting(lane, idle, now);
+        waiting.filter(|expected| expected.client == *client).map(|expected| expected.time).sum()
+    }
+
+    /// The same of all clients', of each up to `most`: what has not come may never come, and then whoever asked for the
+    /// most would keep all others out. O(what is on its way).
+    pub(super) fn time_of_all(&self, most: Duration, lane: Lane, idle: usize, now: Instant) -> Duration {
+        let mut each: HashMap<&Client, Duration> = HashMap::new();
+        for expected in self.waiting(lane, idle, now) {
+            *each.entry(&expected.client).or_default() += expected.time;
+        }
+        each.into_values().map(|time| time.min(most)).sum()
+    }
+
+    fn waiting(&self, lane: Lane, idle: usize, now: Instant) -> impl Iterator<Item = &Expected> {
+        let slow = move |since: Instant| now.saturating_duration_since(since) > self.patience;
+        let coming = move |expected: &&Expected| expected.lane == lane && !expected.since.is_some_and(slow);
+        self.all.iter().filter(coming).skip(idle)
     }
 }
 
@@ -90,20 +101,36 @@ mod tests {
             let client = client.clone();
             coming.add(Expected { number, client, lane, time: number as u32 * second, since: Some(start) });
         }
-        let time = |coming: &Coming, client, after| coming.time(client, Lane::Express, 0, start + after);
-        assert_eq!(time(&coming, None, second), 3 * second);
-        assert_eq!(coming.time(None, Lane::Express, 1, start), 2 * second, "the first does not wait");
-        assert_eq!(coming.time(Some(&b), Lane::Express, 1, start), 2 * second);
-        assert_eq!(coming.time(Some(&a), Lane::Express, 1, start), Duration::ZERO);
-        assert_eq!(time(&coming, Some(&b), second), 2 * second);
-        assert_eq!(time(&coming, None, 2 * second), Duration::ZERO);
+        let all = |coming: &Coming, idle, after| {
+            coming.time_of_all(Duration::MAX, Lane::Express, idle, start + after)
+        };
+        assert_eq!(all(&coming, 0, second), 3 * second);
+        assert_eq!(all(&coming, 1, Duration::ZERO), 2 * second, "the first does not wait");
+        assert_eq!(coming.time(&b, Lane::Express, 1, start), 2 * second);
+        assert_eq!(coming.time(&a, Lane::Express, 1, start), Duration::ZERO);
+        assert_eq!(coming.time(&b, Lane::Express, 0, start + second), 2 * second);
+        assert_eq!(all(&coming, 0, 2 * second), Duration::ZERO);
         coming.arrived(1);
         coming.arrived(99);
-        assert_eq!(time(&coming, None, 2 * second), second);
+        assert_eq!(all(&coming, 0, 2 * second), second);
         let first = coming.remove(1).expect("it is there");
         assert!(coming.remove(1).is_none());
-        assert_eq!(time(&coming, None, second), 2 * second);
+        assert_eq!(all(&coming, 0, second), 2 * second);
         coming.add(first);
-        assert_eq!(coming.time(None, Lane::Express, 1, start), 2 * second, "still the first");
+        assert_eq!(all(&coming, 1, Duration::ZERO), 2 * second, "still the first");
+    }
+
+    #[test]
+    fn of_all_each_client_counts_up_to_the_most() {
+        let (start, second) = (Instant::now(), Duration::from_secs(1));
+        let mut coming = Coming::new(second);
+        for (number, name) in [(1, "a"), (2, "a"), (3, "b")] {
+            let (client, time) = (Client::new(name), 4 * second);
+            coming.add(Expected { number, client, lane: Lane::Bulk, time, since: Some(start) });
+        }
+        for (most, all) in [(9, 12), (5, 9), (4, 8), (1, 2)] {
+            assert_eq!(coming.time_of_all(most * second, Lane::Bulk, 0, start), all * second, "{most}");
+        }
+        assert_eq!(coming.time(&Client::new("a"), Lane::Bulk, 0, start), 8 * second, "its own is whole");
     }
 }

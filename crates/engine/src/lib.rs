@@ -53,8 +53,9 @@ pub struct EngineConfig {
     pub client_points: u64,
     /// The longest that the work waiting in a lane may take, by the machine alone: above it the lane takes no more
     /// requests. A client's work may take the same part of it as of the points. What is [reserved](Engine::reserve) counts
-    /// as waiting from then on, unless its cloud is on its way for longer than this, or a thread is idle that will take it. Work that runs does not count, nor does
-    /// the size of a new request: only those after it would wait for it. None is no limit.
+    /// as waiting from then on, unless its cloud is on its way for longer than this, or a thread is idle that will take it;
+    /// for others' requests, up to its client's part. Work that runs does not count, nor does the size of a new request:
+    /// only those after it would wait for it. None is no limit.
     pub queue_time: Option<Duration>,
     /// Bytes that requests at work may take together, as [`Cost::memory`] estimates them: others wait until
     /// there is room, and a request above it is refused.

@@ -236,20 +236,24 @@ impl State {
         admitted.saturating_sub(self.running.iter().filter(mine).map(done).sum())
     }
 
-    /// How long the work that waits in a lane will take, and what is on its way there: one client's, or all for `None`.
-    /// O(requests that wait or come).
-    fn waiting_time(&self, client: Option<&Client>, lane: Lane, now: Instant, threads: usize) -> Duration {
-        let waiting = &self.waiting[lane as usize];
-        let idle = self.idle(lane, threads).saturating_sub(waiting.iter(None).count());
-        let waiting: Duration = waiting.iter(client).map(|task| task.estimate).sum();
-        waiting + self.coming.time(client, lane, idle, now)
+    /// How long a client's work that waits in a lane will take, and what is on its way there. O(requests that wait or come).
+    fn waiting_time(&self, client: &Client, lane: Lane, now: Instant, threads: usize) -> Duration {
+        let waiting: Duration =
+            self.waiting[lane as usize].iter(Some(client)).map(|task| task.estimate).sum();
+        waiting + self.coming.time(client, lane, self.idle(lane, threads), now)
     }
 
-    /// Threads that would take a request of this lane.
+    /// The same of all clients', where what is on its way counts up to `most` of each.
+    fn waiting_time_of_all(&self, most: Duration, lane: Lane, now: Instant, threads: usize) -> Duration {
+        let waiting: Duration = self.waiting[lane as usize].iter(None).map(|task| task.estimate).sum();
+        waiting + self.coming.time_of_all(most, lane, self.idle(lane, threads), now)
+    }
+
+    /// Threads that would take a request of this lane, beyond those that wait there.
     fn idle(&self, lane: Lane, threads: usize) -> usize {
         let at_work = self.running.iter().filter(|r| lane == Lane::Express || r.lane == lane).count();
         let all = if lane == Lane::Express { 2 * threads } else { threads };
-        all.saturating_sub(at_work)
+        all.saturating_sub(at_work + self.waiting[lane as usize].iter(None).count())
     }
 
     fn number(&mut self) -> u64 {
@@ -411,16 +415,18 @@ impl Queue {
     fn check_time(&self, state: &State, client: &Client, lane: Lane, now: Instant) -> Result<(), Refusal> {
         let Bounds { points, client_points, time, threads, .. } = self.bounds;
         let Some(time) = time else { return Ok(()) };
-        let all = state.waiting_time(None, lane, now, threads);
+        let share = time.mul_f64(client_points as f64 / points.max(1) as f64);
+        let shared = client_points < points;
+        let most = if shared { share } else { Duration::MAX };
+        let all = state.waiting_time_of_all(most, lane, now, threads);
         let busy = |own, waiting: Duration, limit, pace: u32| Refusal::Busy {
             own,
             waiting,
             limit,
-            retry_after: (waiting - limit).saturating_mul(pace).min(all).max(SECOND),
+            retry_after: (waiting - limit).saturating_mul(pace).min(all.max(waiting)).max(SECOND),
         };
-        let own = state.waiting_time(Some(client), lane, now, threads);
-        let share = time.mul_f64(client_points as f64 / points.max(1) as f64);
-        if client_points < points && own > share {
+        let own = state.waiting_time(client, lane, now, threads);
+        if shared && own > share {
             // Its work goes at its part of the machine's pace.
             return Err(busy(true, own, share, state.clients.len().try_into().unwrap_or(u32::MAX)));
         }

@@ -39,7 +39,7 @@ pub(super) struct Machine {
 #[derive(Default)]
 struct Gate {
     closed: bool,
-    /// Batches that have come to it.
+    /// Batches that have come to it since it was closed.
     arrived: usize,
 }
 
@@ -67,7 +67,7 @@ impl Machine {
 
     /// From now on batches wait.
     pub(super) fn close(&self) {
-        self.gate.0.lock().unwrap().closed = true;
+        *self.gate.0.lock().unwrap() = Gate { closed: true, arrived: 0 };
     }
 
     pub(super) fn open_gate(&self) {
@@ -78,7 +78,9 @@ impl Machine {
     /// Until a batch has come to the gate.
     pub(super) fn wait_for_a_batch(&self) {
         let gate = self.gate.0.lock().unwrap();
-        drop(self.gate.1.wait_while(gate, |gate| gate.arrived == 0).unwrap());
+        let (gate, waited) = self.gate.1.wait_timeout_while(gate, LONG, |gate| gate.arrived == 0).unwrap();
+        drop(gate);
+        assert!(!waited.timed_out(), "no batch has come to the gate");
     }
 
     /// Batches run so far.
