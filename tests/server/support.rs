@@ -268,7 +268,7 @@ impl Client {
     pub(crate) fn reply(mut self) -> Reply {
         let mut bytes = Vec::new();
         loop {
-            let more = self.some();
+            let more = self.read();
             let ended = more.is_empty();
             bytes.extend(more);
             if let Some(reply) = Reply::parse(&bytes)
@@ -294,8 +294,15 @@ impl Client {
         }
     }
 
-    /// Reads something.
+    /// Reads something, which must come.
     pub(crate) fn some(&mut self) -> Vec<u8> {
+        let bytes = self.read();
+        assert!(!bytes.is_empty(), "the connection has ended");
+        bytes
+    }
+
+    /// Reads something; nothing at the connection's end.
+    fn read(&mut self) -> Vec<u8> {
         let mut buffer = vec![0; 1 << 16];
         let count = self.0.read(&mut buffer).unwrap();
         buffer.truncate(count);

@@ -55,13 +55,21 @@ impl Clock for Watch {
     }
 }
 
+/// Longer than anything here takes.
+const LONG: Duration = Duration::from_secs(60);
+
 /// Until something is so, each time that a job changes.
 fn wait_until(jobs: &Jobs, mut so: impl FnMut() -> bool) {
-    let runtime = tokio::runtime::Builder::new_current_thread().build().expect("a runtime");
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_time().build().expect("a runtime");
     let mut changes = jobs.changes();
-    while !so() {
-        runtime.block_on(changes.changed()).expect("the jobs are there");
-    }
+    let all = async {
+        while !so() {
+            changes.changed().await.expect("the jobs are there");
+        }
+    };
+    runtime
+        .block_on(async { tokio::time::timeout(LONG, all).await })
+        .expect("what was waited for has not happened");
 }
 
 fn keep(jobs: &Jobs, job: &NewJob) -> String {
