@@ -63,6 +63,23 @@ fn an_idle_connection_has_a_time_of_its_own_and_a_slow_head_after_it_the_heads()
 }
 
 #[test]
+fn the_rest_of_an_upload_that_was_refused_is_not_taken_for_a_head() {
+    let mut config = impatient();
+    config.timeouts.keep_alive = Duration::from_secs(600);
+    let server = Server::start(&Scripted::new(), config);
+    let mut client = server.connect();
+    client.send(b"POST /upsample?ratio=many HTTP/1.1\r\nhost: x\r\ncontent-length: 3\r\n\r\n1");
+    assert!(client.some().starts_with(b"HTTP/1.1 400 "));
+    client.send(b" ");
+    // Others come and go for longer than a head may take.
+    let mut slow = server.connect();
+    slow.send(b"GET /healthz HTTP/1.1\r\n");
+    slow.rest();
+    client.send(b"2GET /healthz HTTP/1.1\r\nhost: x\r\n\r\n");
+    assert!(client.some().starts_with(b"HTTP/1.1 200 "), "still open");
+}
+
+#[test]
 fn an_upload_that_stands_still_is_given_up() {
     let server = Server::start(&Scripted::new(), impatient());
     let mut client = server.connect();

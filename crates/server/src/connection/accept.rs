@@ -25,6 +25,7 @@ use tower::ServiceExt;
 use crate::admission::client::network;
 use crate::config::{Config, Timeouts};
 use crate::connection::activity::Activity;
+use crate::connection::body::Watched;
 use crate::connection::prefix::BasePath;
 use crate::connection::socket::Socket;
 
@@ -137,7 +138,7 @@ async fn serve(
     let activity = Activity::default();
     let connection = Connection { peer, activity: activity.clone() };
     let service = service_fn(move |request: Request<Incoming>| {
-        let mut request = request.map(Body::new);
+        let mut request = request.map(|body| Body::new(Watched::new(body, &connection.activity)));
         request.extensions_mut().insert(connection.clone());
         base.strip(request.uri_mut());
         let router = router.clone();

@@ -21,8 +21,12 @@ struct Requests {
     /// Requests whose response is not over, by number.
     in_flight: BTreeMap<u64, InFlight>,
     next: u64,
-    /// Since when there is none.
+    /// Requests whose body is not over, be it that one which has been answered is still thrown away.
+    bodies: usize,
+    /// Since when there is neither, and nothing more of the last response was sent.
     idle: Instant,
+    /// Whether some of that may not have been.
+    unsent: bool,
     /// Since when the head of the next one is waited for: the first from the connection's beginning, the others from
     /// their first byte.
     head: Option<Instant>,
@@ -33,13 +37,16 @@ struct Requests {
 impl Default for Requests {
     fn default() -> Self {
         let now = Instant::now();
-        Self { in_flight: BTreeMap::new(), next: 0, idle: now, head: Some(now), half_closed: false }
+        let in_flight = BTreeMap::new();
+        Self { in_flight, next: 0, bodies: 0, idle: now, unsent: false, head: Some(now), half_closed: false }
     }
 }
 
 #[derive(Default)]
 struct InFlight {
-    /// When the connection last took a piece of the response, once that has begun.
+    /// Whether the response has begun.
+    begun: bool,
+    /// Since when the connection has not taken the piece of the response that is there; none while the next is made.
     taken: Option<Instant>,
     /// Ends this response alone.
     end: Option<Arc<dyn Fn() + Send + Sync>>,
@@ -71,12 +78,18 @@ impl Activity {
         Busy { activity: self.clone(), number }
     }
 
-    /// Bytes have arrived on HTTP/1: of a head, where no request is in flight, and then this is how many there were
-    /// before.
+    /// A request's body begins.
+    pub(crate) fn receiving(&self) -> Receiving {
+        self.0.send_modify(|state| state.bodies += 1);
+        Receiving(self.clone())
+    }
+
+    /// Bytes have arrived on HTTP/1: of a head, where no request is in flight and no body is left, and then this is how
+    /// many requests there were before.
     pub(crate) fn received(&self) -> Option<u64> {
         let mut before = None;
         self.0.send_if_modified(|state| {
-            if !state.in_flight.is_empty() {
+            if !state.in_flight.is_empty() || state.bodies > 0 {
                 return false;
             }
             before = Some(state.next);
@@ -85,6 +98,18 @@ impl Activity {
             begins
         });
         before
+    }
+
+    /// Bytes of a response were given to the system: `all` that there were, or some of them.
+    pub(crate) fn sent(&self, all: bool) {
+        self.0.send_if_modified(|state| {
+            let moved = state.unsent;
+            if moved {
+                state.idle = Instant::now();
+                state.unsent = !all;
+            }
+            moved
+        });
     }
 
     /// The client has closed its sending side.
@@ -105,7 +130,7 @@ impl Activity {
     /// Whether one request is in flight, and nothing of its response is.
     pub(crate) fn is_waited_for(&self) -> bool {
         let state = self.0.borrow();
-        state.in_flight.len() == 1 && state.in_flight.values().all(|request| request.taken.is_none())
+        state.in_flight.len() == 1 && state.in_flight.values().all(|request| !request.begun)
     }
 
     /// Requests so far.
@@ -120,7 +145,8 @@ impl Activity {
     ///
     /// hyper's own header timer knows one time for both, starts only once it knows the protocol, so that it never
     /// fires for a connection that sends nothing, or half of HTTP/2's preface, and has none for a stalled
-    /// reader. While a request is being received or worked on, its handler has the timers.
+    /// reader. While a request is being received or worked on, its handler has the timers; while a piece of its response is
+    /// made, nobody has.
     pub(crate) async fn silence(&self, timeouts: &Timeouts) {
         let mut state = self.0.subscribe();
         loop {
@@ -165,45 +191,55 @@ impl Requests {
     fn end(&self, timeouts: &Timeouts) -> Option<Instant> {
         match self.head {
             _ if !self.in_flight.is_empty() => self.oldest()?.checked_add(timeouts.stall),
+            // Whoever throws it away has a limit of its own.
+            _ if self.bodies > 0 => None,
             Some(begun) => begun.checked_add(timeouts.head),
             None => self.idle.checked_add(timeouts.keep_alive),
         }
     }
 
-    /// When the response that has waited longest for its reader last moved.
+    /// Since when the response that has waited longest for its reader has.
     fn oldest(&self) -> Option<Instant> {
         self.in_flight.values().filter_map(|request| request.taken).min()
     }
 }
 
 impl Busy {
-    fn modify(&self, modify: impl FnOnce(&mut InFlight)) {
-        self.activity.0.send_modify(|state| {
-            if let Some(request) = state.in_flight.get_mut(&self.number) {
-                modify(request);
-            }
-        });
+    /// `modify` says whether it changed anything.
+    fn modify(&self, modify: impl FnOnce(&mut InFlight) -> bool) {
+        self.activity.0.send_if_modified(|state| state.in_flight.get_mut(&self.number).is_some_and(modify));
     }
 
     /// The response begins.
     pub(crate) fn sending(&self) {
         self.modify(|request| {
-            request.taken.get_or_insert_with(Instant::now);
+            if !std::mem::replace(&mut request.begun, true) {
+                request.taken = Some(Instant::now());
+            }
+            true
         });
     }
 
     /// The connection has taken one more piece of the response.
     pub(crate) fn piece(&self) {
         self.modify(|request| {
-            if let Some(taken) = &mut request.taken {
-                *taken = Instant::now();
-            }
+            request.taken = request.begun.then(Instant::now);
+            request.begun
         });
+    }
+
+    /// The connection would take the next piece, and it is still being made.
+    pub(crate) fn making(&self) {
+        // Tells nobody where nothing changes: who is told asks for the piece again.
+        self.modify(|request| request.taken.take().is_some());
     }
 
     /// What ends this response alone, and gives back all that it holds, this `Busy` too.
     pub(crate) fn ended_by(&self, end: impl Fn() + Send + Sync + 'static) {
-        self.modify(|request| request.end = Some(Arc::new(end)));
+        self.modify(|request| {
+            request.end = Some(Arc::new(end));
+            true
+        });
     }
 }
 
@@ -211,6 +247,19 @@ impl Drop for Busy {
     fn drop(&mut self) {
         self.activity.0.send_modify(|state| {
             state.in_flight.remove(&self.number);
+            (state.idle, state.unsent) = (Instant::now(), true);
+        });
+    }
+}
+
+/// A request's body, until dropped.
+#[derive(Debug)]
+pub(crate) struct Receiving(Activity);
+
+impl Drop for Receiving {
+    fn drop(&mut self) {
+        self.0.0.send_modify(|state| {
+            state.bodies -= 1;
             state.idle = Instant::now();
         });
     }
@@ -262,6 +311,35 @@ mod tests {
     }
 
     #[tokio::test(start_paused = true)]
+    async fn the_rest_of_a_body_is_no_head() {
+        let activity = Activity::default();
+        let (body, busy) = (activity.receiving(), activity.begin());
+        drop(busy);
+        assert_eq!(activity.received(), None, "it is answered, and its client still sends");
+        assert!(stays(&activity).await, "whoever throws it away says when it is over");
+        drop(body);
+        assert_eq!(closes(&activity).await, 75, "idle");
+        assert_eq!(activity.received(), Some(1));
+        assert_eq!(closes(&activity).await, 20, "the next head");
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_connection_is_idle_from_when_the_last_byte_was_sent() {
+        let activity = Activity::default();
+        drop(activity.begin());
+        for _ in 0..3 {
+            sleep(Duration::from_secs(50)).await;
+            activity.sent(false);
+        }
+        sleep(Duration::from_secs(50)).await;
+        activity.sent(true);
+        sleep(Duration::from_secs(50)).await;
+        // Of nothing.
+        activity.sent(true);
+        assert_eq!(closes(&activity).await, 25);
+    }
+
+    #[tokio::test(start_paused = true)]
     async fn a_connection_ends_after_the_limit_and_never_while_a_handler_works() {
         let activity = Activity::default();
         let busy = activity.begin();
@@ -276,6 +354,20 @@ mod tests {
         assert!(stays(&activity).await, "the other is still worked on");
         drop(second);
         assert_eq!(closes(&activity).await, timeouts().keep_alive.as_secs());
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_piece_may_take_its_time_to_be_made_and_not_to_be_taken() {
+        let activity = Activity::default();
+        let busy = activity.begin();
+        busy.making();
+        assert!(activity.is_waited_for(), "nothing has begun");
+        busy.sending();
+        busy.making();
+        assert!(!activity.is_waited_for(), "its head is on its way");
+        assert!(stays(&activity).await, "the server has yet to make the first");
+        busy.piece();
+        assert_eq!(closes(&activity).await, timeouts().stall.as_secs());
     }
 
     #[tokio::test(start_paused = true)]

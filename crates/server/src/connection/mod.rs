@@ -5,6 +5,7 @@
 //! | `accept` | the loop that accepts connections, and each connection's life |
 //! | `socket` | the bytes of a connection, on their way to and from the HTTP library |
 //! | `activity` | when a connection, or an answer on one, counts as dead |
+//! | `body` | a request's body, whose end is seen |
 //! | `record`, `request_id` | around each request: id, log, metrics |
 //! | `decode`, `compress` | encodings of bodies, in and out |
 //! | `head` | what HTTP asks of every head |
@@ -14,6 +15,7 @@
 
 pub(crate) mod accept;
 pub(crate) mod activity;
+pub(crate) mod body;
 pub(crate) mod compress;
 pub(crate) mod cors;
 pub(crate) mod decode;

@@ -286,7 +286,11 @@ impl Sending {
     fn poll_frame(&mut self, context: &mut Context<'_>) -> Poll<Option<Result<Frame<Bytes>, axum::Error>>> {
         let polled = Pin::new(&mut self.body).poll_frame(context);
         match &polled {
-            Poll::Pending => {}
+            Poll::Pending => {
+                if let Some(busy) = &self.record.ongoing.told().busy {
+                    busy.making();
+                }
+            }
             Poll::Ready(None) => self.record.outcome = self.verdict,
             Poll::Ready(Some(Err(error))) => {
                 self.record.outcome = "failed";
@@ -305,5 +309,55 @@ impl Sending {
             }
         }
         polled
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::convert::Infallible;
+    use std::time::Duration;
+
+    use axum::Router;
+    use axum::middleware::from_fn_with_state;
+    use axum::routing::get;
+    use futures::stream;
+    use http_body_util::BodyExt;
+    use tokio::time::sleep;
+    use tower::ServiceExt;
+
+    use super::*;
+    use crate::config::Timeouts;
+    use crate::connection::activity::Activity;
+    use crate::testing;
+
+    /// Longer than a client may stall.
+    const LONG: Duration = Duration::from_secs(600);
+
+    /// Two pieces, each of which takes long to be made.
+    async fn slow() -> Body {
+        Body::from_stream(stream::unfold(0, |made| async move {
+            sleep(LONG).await;
+            (made < 2).then_some((Ok::<_, Infallible>("piece"), made + 1))
+        }))
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_client_is_not_cut_off_for_what_the_server_is_still_making() {
+        let (app, _folder) = testing::app();
+        let activity = Activity::default();
+        let connection = Connection { peer: ([127, 0, 0, 1], 1).into(), activity: activity.clone() };
+        let router = Router::new().route("/", get(slow)).layer(from_fn_with_state(app, record));
+        let request = Request::get("/").extension(connection).body(Body::empty()).expect("a request");
+        let mut body = router.oneshot(request).await.expect("an answer").into_body();
+        let timeouts = Timeouts::default();
+        for _ in 0..2 {
+            tokio::select! {
+                () = activity.silence(&timeouts) => panic!("it has taken all that there was"),
+                piece = body.frame() => assert!(piece.is_some_and(|piece| piece.is_ok())),
+            }
+        }
+        let waited = tokio::time::Instant::now();
+        activity.silence(&timeouts).await;
+        assert_eq!(waited.elapsed().as_secs(), timeouts.stall.as_secs(), "the last is not taken");
     }
 }

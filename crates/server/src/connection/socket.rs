@@ -141,7 +141,7 @@ impl State {
         if self.is_multiplexed() {
             return;
         }
-        // What comes while a request is in flight is its body.
+        // What else comes is a body.
         let Some(before) = self.activity.received() else { return };
         if before != self.before {
             self.before = before;
@@ -149,6 +149,13 @@ impl State {
         }
         let room = KEPT.saturating_sub(self.head.len());
         self.head.extend_from_slice(&bytes[..bytes.len().min(room)]);
+    }
+
+    /// Bytes have gone to the system. On HTTP/2 they may be those of a ping, and say nothing of an answer.
+    fn sent(&self, all: bool) {
+        if !self.is_multiplexed() {
+            self.activity.sent(all);
+        }
     }
 
     /// Bytes of what the library writes that are not to be sent: they have been already, or something else is sent.
@@ -209,6 +216,7 @@ impl AsyncWrite for Socket {
         }
         let count = ready!(Pin::new(&mut state.stream).poll_write_vectored(context, pieces))?;
         state.flushed = false;
+        state.sent(false);
         Poll::Ready(Ok(count))
     }
 
@@ -221,6 +229,7 @@ impl AsyncWrite for Socket {
         ready!(state.poll_instead(context))?;
         ready!(Pin::new(&mut state.stream).poll_flush(context))?;
         state.flushed = true;
+        state.sent(true);
         Poll::Ready(Ok(()))
     }
 

@@ -26,7 +26,7 @@ use densecloud_jobs::{Jobs, State, Task};
 /// How often a running job's progress is looked at, in memory. The database is asked only when a job has changed: a
 /// thousand watchers cost nothing while none has.
 const TICK: Duration = Duration::from_millis(250);
-/// Without news, proxies and our own watch over slow readers want a sign of life.
+/// Without news, proxies want a sign of life.
 const ALIVE: Duration = Duration::from_secs(10);
 /// A client that closed its sending side may be gone: what is sent to it shows that.
 const HALF_CLOSED: Duration = Duration::from_secs(1);
@@ -44,10 +44,9 @@ pub(crate) async fn events(
 ) -> Result<Response, Problem> {
     let jobs = Arc::clone(app.jobs()?);
     let changes = jobs.changes();
-    let alive = ALIVE.min(app.config.timeouts.stall / 3);
     let activity = connection.map(|Extension(connection)| connection.activity).unwrap_or_default();
     let (seen, told, over) = (None, None, false);
-    let mut state = Events { app, jobs, client, id, prefix, activity, changes, alive, seen, told, over };
+    let mut state = Events { app, jobs, client, id, prefix, activity, changes, seen, told, over };
     state.look().await?;
     let events = stream::unfold(state, |mut events| async move {
         let event = events.next().await?;
@@ -66,7 +65,6 @@ struct Events {
     prefix: Prefix,
     activity: Activity,
     changes: watch::Receiver<()>,
-    alive: Duration,
     /// The job as it was last looked up, and while it runs what is known of it in memory.
     seen: Option<(Document, Option<Arc<Task>>)>,
     told: Option<News>,
@@ -129,7 +127,7 @@ impl Events {
                 let kind = if document.over { document.state } else { "progress" };
                 return Some(event(kind, document));
             }
-            let alive = if self.activity.is_half_closed() { HALF_CLOSED } else { self.alive };
+            let alive = if self.activity.is_half_closed() { HALF_CLOSED } else { ALIVE };
             if start.elapsed() >= alive {
                 return Some(sign_of_life());
             }
