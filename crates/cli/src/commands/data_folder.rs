@@ -1,6 +1,6 @@
 //! The folder of the jobs: made where it is missing, and known to be of use before anything is begun.
 
-use std::fs::{self, DirBuilder, OpenOptions};
+use std::fs::{self, DirBuilder, DirEntry, OpenOptions};
 use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
 
@@ -36,7 +36,8 @@ fn existing(folder: &Path) -> &Path {
     folder.ancestors().find(|place| place.exists()).unwrap_or(folder)
 }
 
-/// Whether the folder and what an earlier server left directly in it can be written to; if not, what cannot.
+/// Whether the folder and what an earlier server left directly in it can be written to; if not, what cannot. What else may
+/// lie there, such as a file system's own folders, is nothing to us.
 fn check_entries(folder: &Path) -> Result<(), (PathBuf, io::Error)> {
     let at = |place: &Path| {
         let place = place.to_owned();
@@ -44,20 +45,26 @@ fn check_entries(folder: &Path) -> Result<(), (PathBuf, io::Error)> {
     };
     check_folder(folder).map_err(at(folder))?;
     for entry in fs::read_dir(folder).map_err(at(folder))? {
-        let path = entry.map_err(at(folder))?.path();
-        let usable = match path.is_dir() {
-            true => check_folder(&path),
-            false => OpenOptions::new().read(true).write(true).open(&path).map(drop),
-        };
-        usable.map_err(at(&path))?;
+        let entry = entry.map_err(at(folder))?;
+        check_entry(&entry).map_err(at(&entry.path()))?;
     }
     Ok(())
 }
 
+/// The database with what SQLite keeps beside it, and the folder of the files.
+fn check_entry(entry: &DirEntry) -> io::Result<()> {
+    match entry.file_name().to_string_lossy() {
+        name if name == "files" => check_folder(&entry.path()),
+        name if name.starts_with("jobs.sqlite") => {
+            OpenOptions::new().read(true).write(true).open(entry.path()).map(drop)
+        }
+        _ => Ok(()),
+    }
+}
+
+/// By a file without a name, where there are such: what ends in between leaves nothing behind.
 fn check_folder(folder: &Path) -> io::Result<()> {
-    let probe = folder.join(format!(".densecloud-{}", std::process::id()));
-    OpenOptions::new().write(true).create_new(true).open(&probe)?;
-    fs::remove_file(&probe)
+    tempfile::tempfile_in(folder).map(drop)
 }
 
 /// What may help where `place` cannot be used: the folder itself, what is in it, or what it would be made in.
@@ -83,16 +90,7 @@ fn advice(folder: &Path, place: &Path, kind: ErrorKind, owners: Option<(u32, u32
 fn owners(place: &Path) -> Option<(u32, u32)> {
     use std::os::unix::fs::MetadataExt;
     // A process's own entry there belongs to its user; where there is none, what it makes does.
-    let own = fs::metadata("/proc/self").ok().or_else(|| {
-        let probe = std::env::temp_dir().join(format!(".densecloud-{}", std::process::id()));
-        let made =
-            OpenOptions::new().write(true).create_new(true).open(&probe).and_then(|file| file.metadata());
-        // Made by us, if at all.
-        if made.is_ok() {
-            let _ = fs::remove_file(&probe);
-        }
-        made.ok()
-    })?;
+    let own = fs::metadata("/proc/self").or_else(|_| tempfile::tempfile()?.metadata()).ok()?;
     Some((fs::metadata(place).ok()?.uid(), own.uid()))
 }
 
@@ -115,6 +113,22 @@ mod tests {
         prepare(&folder).expect("taken again");
         assert_eq!(fs::read_dir(&folder).expect("a folder").count(), 2, "nothing is left behind");
         assert_eq!(fs::read(folder.join("jobs.sqlite")).expect("a file"), b"x");
+    }
+
+    #[test]
+    #[cfg(unix)]
+    fn what_is_not_ours_is_left_alone() {
+        let folder = tempfile::tempdir().expect("a folder");
+        // Left by a server that was killed as it looked, when its number was what ours is.
+        let probe = folder.path().join(format!(".densecloud-{}", std::process::id()));
+        fs::write(&probe, "").expect("a file");
+        // Not even root can write to these.
+        std::os::unix::fs::symlink("/proc/self/fd", folder.path().join("lost+found")).expect("a link");
+        std::os::unix::fs::symlink("/nowhere", folder.path().join("README")).expect("a link");
+        prepare(folder.path()).expect("taken");
+        std::os::unix::fs::symlink("/proc/self/fd", folder.path().join("files")).expect("a link");
+        let Err(CliError::Usage(why)) = prepare(folder.path()) else { panic!("ours must be of use") };
+        assert!(why.contains("that can be written to"), "{why}");
     }
 
     #[test]
