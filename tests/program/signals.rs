@@ -1,10 +1,11 @@
 //! The end of the program: by a signal, by two, and as a service manager sees it.
 
-use std::io::{Read, Write};
+use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
 use std::path::Path;
+use std::process::Stdio;
 
-use crate::support::{PATIENCE, Serving, agent, densecloud, request, sphere, wide_sphere};
+use crate::support::{PATIENCE, Serving, agent, densecloud, request, signal, sphere, wide_sphere};
 
 /// A file of keys that nobody else can read.
 fn write_keys(path: &Path, text: &str) {
@@ -63,6 +64,23 @@ fn hangups_cost_a_job_nothing() {
     serving.signal("HUP");
     serving.signal("TERM");
     assert_eq!(serving.end().code(), Some(0));
+}
+
+#[test]
+fn a_signal_before_it_serves_is_heard() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = folder.path().join("densecloud.toml");
+    std::fs::write(&file, "port = 0\nlog-format = \"json\"\nthreads = 1\n").expect("a file");
+    let mut command = densecloud();
+    let command = command.env("DENSECLOUD_CONFIG", &file).arg("serve").stderr(Stdio::piped());
+    let mut child = command.spawn().expect("the program starts");
+    let mut lines = BufReader::new(child.stderr.take().expect("piped")).lines();
+    // The model is loaded after this.
+    let begun = lines.by_ref().map_while(Result::ok).any(|line| line.contains("settings read"));
+    signal(&child.id().to_string(), "TERM");
+    let rest: Vec<_> = lines.map_while(Result::ok).collect();
+    assert_eq!(child.wait().expect("an end").code(), Some(0), "{begun}: {rest:?}");
+    assert!(rest.last().is_some_and(|line| line.contains("\"stopped\"")), "{rest:?}");
 }
 
 #[test]

@@ -75,6 +75,7 @@ fn tell(error: &CliError, format: LogFormat, log: &Log) {
 }
 
 fn begin(args: &ServeArgs, log: &Log) -> Result<(), CliError> {
+    let process = Process::begin()?;
     let Checked { mut config, model, filter } = args.check()?;
     config.lines_lost = log.lost().clone();
     if let Some(jobs) = &config.jobs {
@@ -86,7 +87,30 @@ fn begin(args: &ServeArgs, log: &Log) -> Result<(), CliError> {
     if let Some(file) = &args.settings.config {
         tracing::info!(file = %file.display(), "settings read");
     }
-    start(args, config, model, log)
+    start(args, process, config, model, log)
+}
+
+/// What runs everything, and the signals, all of them caught.
+struct Process {
+    runtime: Runtime,
+    hangups: Hangups,
+    signals: Signals,
+}
+
+impl Process {
+    /// To be called at once: until then a hangup ends the program, and as a container's first process it never hears that
+    /// it is to end. Loading the model takes a while.
+    fn begin() -> Result<Self, CliError> {
+        let runtime = tokio::runtime::Builder::new_multi_thread()
+            .enable_all()
+            .max_blocking_threads(BLOCKING_THREADS)
+            .build()
+            .map_err(|error| CliError::Failed(error.to_string()))?;
+        let caught = runtime.block_on(async { Ok((Hangups::catch()?, Signals::catch()?)) });
+        let uncaught = |error: io::Error| CliError::Failed(format!("cannot wait for signals: {error}"));
+        let (hangups, signals) = caught.map_err(uncaught)?;
+        Ok(Self { runtime, hangups, signals })
+    }
 }
 
 /// Uploads and results are bounded by a setting, not by what there is.
@@ -100,25 +124,21 @@ fn check_held(held: u64) {
     }
 }
 
-fn start(args: &ServeArgs, mut config: Config, model: Arc<Model>, log: &Log) -> Result<(), CliError> {
-    let failed = |why: &dyn std::fmt::Display| CliError::Failed(why.to_string());
-    let runtime = tokio::runtime::Builder::new_multi_thread()
-        .enable_all()
-        .max_blocking_threads(BLOCKING_THREADS)
-        .build()
-        .map_err(|e| failed(&e))?;
-    // At once, since a hangup would end the program until then; loading the model takes a while.
-    let hangups = runtime.block_on(async { Hangups::catch() }).map_err(|e| uncaught(&e))?;
+fn start(
+    args: &ServeArgs,
+    process: Process,
+    mut config: Config,
+    model: Arc<Model>,
+    log: &Log,
+) -> Result<(), CliError> {
+    let Process { runtime, hangups, signals } = process;
     let engine = engine_args::start(model.clone(), || args.sizes())?;
     config.model = ModelInfo { name: model.name(), provider: engine.provider().to_owned() };
     runtime.spawn(read_again(hangups, config.access.keys.clone()));
-    let served = runtime.block_on(serve(args, engine, config, log));
+    let ended = signals.first(log.clone());
+    let served = runtime.block_on(serve(args, engine, config, ended));
     stop(runtime);
     served
-}
-
-fn uncaught(error: &io::Error) -> CliError {
-    CliError::Failed(format!("cannot wait for signals: {error}"))
 }
 
 /// Reads the keys again at each hangup.
@@ -138,8 +158,12 @@ async fn read_again(mut hangups: Hangups, keys: Option<Arc<Keys>>) {
     }
 }
 
-async fn serve(args: &ServeArgs, engine: Engine, config: Config, log: &Log) -> Result<(), CliError> {
-    let signals = Signals::catch().map_err(|e| uncaught(&e))?;
+async fn serve(
+    args: &ServeArgs,
+    engine: Engine,
+    config: Config,
+    ended: impl Future<Output = ()>,
+) -> Result<(), CliError> {
     let (host, port) = (args.host.as_str(), args.port);
     let unbound = |e: io::Error| {
         CliError::Failed(format!(
@@ -153,9 +177,7 @@ async fn serve(args: &ServeArgs, engine: Engine, config: Config, log: &Log) -> R
         %address, model = model.name.name, provider = model.provider, threads = engine.threads(),
         max_memory = engine.max_memory(), keys = config.access.keys.is_some(), "listening"
     );
-    densecloud_server::run(listener, engine, config, signals.first(log.clone()))
-        .await
-        .map_err(|e| CliError::Failed(e.to_string()))
+    densecloud_server::run(listener, engine, config, ended).await.map_err(|e| CliError::Failed(e.to_string()))
 }
 
 /// Does not wait for a parse or a warm-up that nobody needs any more.
