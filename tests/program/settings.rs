@@ -80,3 +80,16 @@ fn a_port_that_is_taken_is_named() {
     assert!(why.contains(&port) && why.contains("--port"), "{why}");
     assert!(stderr.contains(&format!("ERROR failed why={why}")), "in the log, too: {stderr}");
 }
+
+#[test]
+fn settings_that_are_broken_are_a_server_that_is_not_healthy() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (broken, missing) = (folder.path().join("broken.toml"), folder.path().join("missing.toml"));
+    std::fs::write(&broken, "port = \"none\"\n").expect("a file");
+    for (name, value) in [("CONFIG", broken.as_path()), ("CONFIG", &missing), ("PORT", "none".as_ref())] {
+        let mut command = densecloud();
+        let ended = command.env(format!("DENSECLOUD_{name}"), value).arg("healthcheck").output();
+        let ended = ended.expect("the program starts");
+        assert_eq!(ended.status.code(), Some(1), "{name}: {ended:?}");
+    }
+}

@@ -87,7 +87,8 @@ fn own() -> Result<String, CliError> {
             _ => Err(CliError::Failed("no settings".to_owned())),
         },
         Err(Refused::Arguments(error, _)) => Err(CliError::Failed(error.to_string())),
-        Err(Refused::File(error)) => Err(error),
+        // Not this command's own arguments: the exit code is that of a server that does not answer.
+        Err(Refused::File(error)) => Err(CliError::Failed(error.to_string())),
     }
 }
 
