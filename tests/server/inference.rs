@@ -226,6 +226,10 @@ fn the_models_are_listed_and_none_is_loaded_or_unloaded() {
     for body in ["[]", "{", r#"{"ready":7}"#, r#"{"ready":{}}"#] {
         assert_eq!(error(&server.post("/v2/repository/index", body.as_bytes())).0, 400, "{body:?}");
     }
+    // Nothing asks for more, and it would be parsed where all connections are served.
+    let (status, why) = error(&server.post("/v2/repository/index", &vec![b' '; (64 << 10) + 1]));
+    assert!(status == 400 && why.contains("65536 bytes"), "{status}: {why}");
+    assert_eq!(index(&" ".repeat(64 << 10))[0]["state"], "READY");
     let models: Value = serde_json::from_slice(&server.get("/v2/models").body).expect("JSON");
     assert_eq!(models, json!({ "models": ["densecloud"] }));
     for verb in ["load", "unload"] {

@@ -41,7 +41,7 @@ use densecloud_formats::{Format, Scalar};
 #[cfg(test)]
 pub(crate) use request::HINTS;
 use request::{Request, read, split, without_literals};
-use statistics::Attempt;
+use statistics::{Attempt, Times};
 
 /// The model's name in paths, whatever its card says.
 const MODEL: &str = "densecloud";
@@ -191,15 +191,16 @@ async fn answer(
         Ok((UpsampleRequest { cloud, input, options }, reply))
     };
     let (mut done, reply) = upsample::run(app, ticket, arrived, read, |_| {}).await?;
-    attempt.succeeded(&done);
     if done.format != (Format::Npy { scalar: reply.datatype.scalar(), fields: false }) {
         let why = "FP32 is too coarse for these coordinates and this many points; send FP64";
         done.about.warnings.push(why.into());
     }
-    let (mut headers, points) = (done.headers(), done.points());
+    let (mut headers, points, times) = (done.headers(), done.points(), Times::of(&done));
     // That of the answer itself.
     headers.remove(header::CONTENT_TYPE);
-    Ok((headers, Extension(points), reply.response(done)?).into_response())
+    let response = reply.response(done)?;
+    attempt.succeeded(&times);
+    Ok((headers, Extension(points), response).into_response())
 }
 
 /// The value of [`HEADER_LENGTH`].

@@ -16,6 +16,9 @@ use crate::app::App;
 use crate::http::upload::Upload;
 use crate::problem::Problem;
 
+/// Bytes of a question for the index: it is parsed on a thread that serves connections, too.
+const LONGEST: usize = 64 << 10;
+
 /// `POST /v2/repository/index`.
 pub(super) async fn index(
     State(app): State<Arc<App>>,
@@ -24,7 +27,7 @@ pub(super) async fn index(
 ) -> Result<Json<Value>, Problem> {
     let mut upload = Upload::new(&headers, body);
     let deadline = Deadline::new(None, app.config.timeouts.request);
-    let received = deadline.run(upload.receive_judged(&headers, &app, |_, _| Ok(()))).await;
+    let received = deadline.run(upload.receive_judged(&headers, &app, |bytes, _| check_length(bytes))).await;
     upload.give_up();
     let only = asks_for_ready(received?.bytes())?;
     let (state, reason) = match app.readiness.probe() {
@@ -35,6 +38,13 @@ pub(super) async fn index(
     let model = json!({ "name": MODEL, "version": VERSION, "state": state, "reason": reason });
     let models = if only && state != "READY" { Vec::new() } else { vec![model] };
     Ok(Json(models.into()))
+}
+
+fn check_length(body: &[u8]) -> Result<(), Problem> {
+    if body.len() <= LONGEST {
+        return Ok(());
+    }
+    Err(Problem::MalformedRequest(format!("the body has more than {LONGEST} bytes")))
 }
 
 /// Whether only models that are ready shall be named; no body asks for all.

@@ -43,6 +43,20 @@ impl Total {
     }
 }
 
+/// How long the parts of a request took.
+pub(super) struct Times {
+    queue: Duration,
+    parse: Duration,
+    work: Duration,
+}
+
+impl Times {
+    pub(super) fn of(done: &Done) -> Self {
+        let work = Stage::ALL.into_iter().map(|stage| done.took(stage.name())).sum();
+        Self { queue: done.took("queue"), parse: done.took("parse"), work }
+    }
+}
+
 /// One request, which failed unless somebody says otherwise before it is dropped: its client may leave.
 pub(super) struct Attempt<'a> {
     statistics: &'a Statistics,
@@ -91,16 +105,16 @@ impl Statistics {
 }
 
 impl Attempt<'_> {
-    /// Its result is complete.
-    pub(super) fn succeeded(mut self, done: &Done) {
+    /// Its answer is there.
+    pub(super) fn succeeded(mut self, times: &Times) {
         self.over = true;
         let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
         let mut counts = self.statistics.counts();
         counts.last = now.as_millis().try_into().unwrap_or(u64::MAX);
         counts.success.add(self.start.elapsed());
-        counts.queue.add(done.took("queue"));
-        counts.parse.add(done.took("parse"));
-        counts.work.add(Stage::ALL.into_iter().map(|stage| done.took(stage.name())).sum());
+        counts.queue.add(times.queue);
+        counts.parse.add(times.parse);
+        counts.work.add(times.work);
     }
 }
 
