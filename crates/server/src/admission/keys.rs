@@ -5,6 +5,7 @@
 //! can be replaced while the old one still works. Keys themselves are hashed at once and kept nowhere. The file can be read
 //! again while the server runs.
 
+use std::collections::HashSet;
 use std::fs::File;
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
@@ -59,6 +60,9 @@ pub enum KeysError {
         /// What is wrong with it.
         why: &'static str,
     },
+    /// Its end, with keys that would not count, would not be read.
+    #[error("it is longer than {LONGEST_FILE} bytes")]
+    Long,
     /// There is no key in it, so that nobody would be let in.
     #[error("there is no key in it; a line is a name, a space and a key")]
     Empty,
@@ -123,18 +127,26 @@ impl Keys {
 
 /// Reads a file of keys.
 fn entries(path: &Path) -> Result<Vec<Entry>, KeysError> {
-    let mut text = String::new();
-    File::open(path)?.take(LONGEST_FILE).read_to_string(&mut text)?;
-    let (entries, plain) = parse(&text)?;
+    let (entries, plain) = parse(&text(path)?)?;
     if plain && readable_by_all(path)? {
         return Err(KeysError::Readable);
     }
     Ok(entries)
 }
 
+fn text(path: &Path) -> Result<String, KeysError> {
+    let mut text = String::new();
+    File::open(path)?.take(LONGEST_FILE + 1).read_to_string(&mut text)?;
+    if text.len() as u64 > LONGEST_FILE {
+        return Err(KeysError::Long);
+    }
+    Ok(text)
+}
+
 /// Reads a file's text; also says whether there is a key in it that is not hashed.
 fn parse(text: &str) -> Result<(Vec<Entry>, bool), KeysError> {
     let mut entries: Vec<Entry> = Vec::new();
+    let mut hashes = HashSet::new();
     let mut plain = false;
     for (i, line) in text.lines().enumerate() {
         let wrong = |why| KeysError::Line { line: i + 1, why };
@@ -163,7 +175,7 @@ fn parse(text: &str) -> Result<(Vec<Entry>, bool), KeysError> {
                 Sha256::digest(key).into()
             }
         };
-        if entries.iter().any(|entry| entry.hash == hash) {
+        if !hashes.insert(hash) {
             return Err(wrong("the same key is in an earlier line"));
         }
         entries.push(Entry { name: name.to_owned(), hash });
@@ -263,6 +275,21 @@ mod tests {
         std::fs::remove_file(&path).expect("a file");
         assert!(matches!(keys.reload(), Err(KeysError::Io(_))));
         assert_eq!((names(&keys), keys.reloads()), ([None, alice()], [2, 5]));
+    }
+
+    #[test]
+    fn a_file_that_is_too_long_is_refused_and_not_cut() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("keys");
+        // Cut, its last line would still be a key, a shorter one.
+        let (start, key) = (format!("alice {KEY}\n#"), format!("\nbob {KEY}{KEY}"));
+        let comment = "-".repeat(LONGEST_FILE as usize - start.len() - key.len());
+        let whole = format!("{start}{comment}{key}");
+        write(&path, &whole);
+        let keys = Keys::read(&path).expect("as long as may be");
+        assert_eq!(keys.name(format!("{KEY}{KEY}").as_bytes()).as_deref(), Some("bob"));
+        write(&path, &format!("{whole}x"));
+        assert!(matches!(keys.reload(), Err(KeysError::Long)));
     }
 
     #[test]
