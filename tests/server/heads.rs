@@ -1,5 +1,7 @@
 //! What HTTP asks of a head (RFC 9112), over raw sockets.
 
+use std::io::Write;
+
 use densecloud_server::Config;
 
 use crate::support::{PLY, Reply, Scripted, Server, cloud, encode};
@@ -120,4 +122,16 @@ fn what_curls_d_makes_of_a_file_is_told() {
     assert_eq!(server.ask("POST", "/upsample?ratio=2", curl, b"").problem_name(), "impossible-cloud");
     let other = server.ask("POST", "/upsample?ratio=2", curl, &[0xff, 0xd8, 0, 1, 2, b'\n', 7, 7]);
     assert_eq!(other.problem_name(), "unsupported-format");
+    // Compressed, a small file may have none of these bytes.
+    let deflated = |i| {
+        let mut encoder = flate2::write::ZlibEncoder::new(Vec::new(), flate2::Compression::default());
+        for k in 1..10 {
+            writeln!(encoder, "{} {} {}", 7 * i + k, k * k, 3 * i * k).unwrap();
+        }
+        encoder.finish().unwrap()
+    };
+    let small = (0..1000).map(deflated).find(|body| !body.iter().any(|byte| b"\r\n\0".contains(byte)));
+    let headers = format!("{curl}content-encoding: deflate\r\n");
+    let reply = server.ask("POST", "/upsample?ratio=2", &headers, &small.expect("one of a thousand"));
+    assert_eq!(reply.status, 200, "{}", String::from_utf8_lossy(&reply.body));
 }

@@ -20,7 +20,8 @@ pub(crate) struct Upload {
     /// Nothing has been read yet, and the client waits for a `100 Continue` before it sends.
     waits: bool,
     /// Whether it is said to be the fields of a form, as curl says of all that it posts, and nothing that has come so
-    /// far would not be left by its `-d`, which takes line ends and zero bytes out of a file.
+    /// far would not be left by its `-d`, which takes line ends and zero bytes out of a file. Of what is compressed the
+    /// bytes that come say nothing.
     stripped: bool,
     /// Whether something has come.
     begun: bool,
@@ -45,7 +46,8 @@ impl Upload {
     pub(crate) fn new(headers: &HeaderMap, body: Body) -> Self {
         let kind = headers.get(header::CONTENT_TYPE).and_then(|kind| kind.to_str().ok()).unwrap_or_default();
         let kind = kind.split(';').next().unwrap_or_default().trim();
-        let stripped = kind.eq_ignore_ascii_case("application/x-www-form-urlencoded");
+        let plain = matches!(Coding::of(headers), Ok(Coding::Identity));
+        let stripped = plain && kind.eq_ignore_ascii_case("application/x-www-form-urlencoded");
         Self { body, waits: headers.contains_key(header::EXPECT), stripped, begun: false }
     }
 
