@@ -9,14 +9,11 @@ use axum::http::{HeaderMap, Uri};
 use axum::middleware::Next;
 use axum::response::Response;
 
-use crate::app::App;
+use crate::app::{self, App};
 
 /// A path before all others (`--base-path`): `/clouds`; none by default.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct BasePath(String);
-
-/// The first parts of our own paths: none of them can be told from a path before them.
-const OWN: [&str; 8] = ["upsample", "jobs", "healthz", "readyz", "metrics", "openapi.json", "docs", "v2"];
 
 impl FromStr for BasePath {
     type Err = String;
@@ -28,11 +25,19 @@ impl FromStr for BasePath {
         }
         let why = "not a path such as /clouds, of letters, digits, -, _, . and ~ between single slashes";
         let path = sane(path).ok_or(why)?;
-        match path.split('/').nth(1) {
-            Some(own) if OWN.contains(&own) => Err(format!("/{own} is a path of the server's own")),
+        match first(path) {
+            // It could not be told from a path before it.
+            Some(part) if app::routes().iter().any(|route| first(route.path) == Some(part)) => {
+                Err(format!("/{part} is a path of the server's own"))
+            }
             _ => Ok(Self(path.to_owned())),
         }
     }
+}
+
+/// A path's first part.
+fn first(path: &str) -> Option<&str> {
+    path.split('/').nth(1)
 }
 
 /// A path that may stand before others, if this is one.
@@ -120,10 +125,11 @@ mod tests {
         {
             assert_eq!(text.parse(), Ok(BasePath(path.to_owned())), "{text}");
         }
-        for bad in
-            ["x", "//x", "/x//y", "/x/..", "/./x", "/x y", "/é", "/x?y", "http://x/y", "/jobs", "/v2/x"]
-        {
-            assert!(bad.parse::<BasePath>().is_err(), "{bad}");
+        for bad in ["x", "//x", "/x//y", "/x/..", "/./x", "/x y", "/é", "/x?y", "http://x/y"] {
+            assert!(bad.parse::<BasePath>().is_err_and(|why| why.contains("such as /clouds")), "{bad}");
+        }
+        for own in ["/upsample", "/jobs", "/jobs/mine", "/healthz", "/openapi.json", "/v2/x", "/v2"] {
+            assert!(own.parse::<BasePath>().is_err_and(|why| why.contains("server's own")), "{own}");
         }
     }
 
