@@ -83,6 +83,16 @@ def test_a_file_goes_up_and_a_denser_one_comes_down(page, upsample, sphere, tmp_
     assert "server-timing" in page.inner_text("#told")
 
 
+def test_a_result_is_saved_under_the_name_that_programs_know_it_by(page, sphere, tmp_path):
+    source = tmp_path / "scan.xyz"
+    source.write_text("".join(f"{x} {y} {z}\n" for x, y, z in sphere[0]))
+    page.set_input_files("#file", source)
+    page.fill("#ratio", "2")
+    page.select_option("#accept", "text/x-colmap-points3d")
+    page.click("button")
+    assert page.wait_for_selector("#download").inner_text() == "points3D.txt"
+
+
 def test_what_is_wrong_is_said(page, tmp_path):
     source = tmp_path / "scan.xyz"
     source.write_text("1 2 3\n4 five 6\n")

@@ -250,6 +250,31 @@ impl Format {
         self.ask(|format| format.media_type())
     }
 
+    /// The name that a file of it is saved under: `stem` with its extension, or a whole name where that alone tells what
+    /// the file is.
+    ///
+    /// ```
+    /// use densecloud_formats::Format;
+    ///
+    /// for media_type in Format::MEDIA_TYPES {
+    ///     let name = Format::from_media_type(media_type).expect("it is written").file_name("dense");
+    ///     let named = Format::from_extension(name.as_ref()).expect("a format");
+    ///     assert_eq!(named.media_type().split(';').next(), Some(media_type));
+    /// }
+    /// assert_eq!(Format::TEXT.file_name("dense"), "dense.xyz");
+    /// assert_eq!(Format::Colmap { binary: false }.file_name("dense"), "points3D.txt");
+    /// ```
+    #[must_use]
+    pub fn file_name(self, stem: &str) -> String {
+        let media_type = self.written().media_type();
+        let own = |name: &String| {
+            Self::from_extension(name.as_ref()).is_some_and(|format| format.media_type() == media_type)
+        };
+        let whole = |ending: String| if ending.starts_with('.') { format!("{stem}{ending}") } else { ending };
+        // Of all that is written there is one.
+        registry::endings().into_iter().map(whole).find(own).unwrap_or_else(|| stem.to_owned())
+    }
+
     /// The exact length in bytes of a file of `points` points with these attributes as
     /// [`CloudWriter`](super::CloudWriter) writes it, where it depends on nothing else: binary PLY,
     /// PCD and COLMAP, and NumPy.
