@@ -105,13 +105,8 @@ const FAR: f64 = 3.0;
 impl Inspection<'_> {
     /// Names, types, and the rules by which new points would come by them.
     fn attributes(&self) -> impl Iterator<Item = (&str, &'static str, Rule)> {
-        let plan = Plan::of(&self.cloud.attributes, &Rules::default());
-        let rules = plan.rules().to_vec();
-        self.cloud
-            .attributes
-            .iter()
-            .zip(rules)
-            .map(|(a, rule)| (a.name.as_str(), kind(a.values.kind()), rule))
+        let attributes = self.cloud.attributes.iter().zip(self.plan.rules());
+        attributes.map(|(a, rule)| (a.name.as_str(), kind(a.values.kind()), *rule))
     }
 
     fn points_out(&self) -> u64 {

@@ -1,5 +1,7 @@
 //! Values for new points from those of the nearest source points.
 
+use std::borrow::Cow;
+
 use rayon::prelude::*;
 
 use super::mean::mean;
@@ -29,7 +31,8 @@ use densecloud_cloud::{Attribute, Cloud, Position, Values};
 ///
 /// Attributes keep their names, types and order. Source points that are not finite have no part. Cost: a
 /// tree of the source, O(n log n), and 6 neighbours of each new point, on all threads of the current
-/// pool; memory 40 bytes a new point beside the result, and one a source point. `None` when `cancelled` says so in between,
+/// pool. Memory beside the result: 40 bytes a new point, 4 more where an attribute has the nearest's values, and while they are
+/// worked on 24 for normals and 32 for rotations; one byte a source point. `None` when `cancelled` says so in between,
 /// or when no source point is finite.
 ///
 /// # Panics
@@ -44,7 +47,16 @@ pub fn carry(
     if plan.kept().next().is_none() {
         return Some(Vec::new());
     }
-    let near = Near::find(&source.positions, dense, cancelled)?;
+    carry_near(source, &Near::find(&source.positions, dense, cancelled)?, plan, cancelled)
+}
+
+/// As [`carry`], for points whose nearest are known.
+pub(super) fn carry_near(
+    source: &Cloud,
+    near: &Near,
+    plan: &Plan,
+    cancelled: &(dyn Fn() -> bool + Sync),
+) -> Option<Vec<Attribute>> {
     let mut carried: Vec<Option<Values>> = vec![None; source.attributes.len()];
     for group in &plan.groups {
         if cancelled() {
@@ -52,7 +64,7 @@ pub fn carry(
         }
         let columns: Vec<&Values> = group.columns.iter().map(|i| &source.attributes[*i].values).collect();
         let flags: Vec<&Values> = group.flags.iter().map(|i| &source.attributes[*i].values).collect();
-        for (i, values) in group.columns.iter().zip(group_of(group, &columns, &flags, &near)) {
+        for (i, values) in group.columns.iter().zip(group_of(group, &columns, &flags, near)) {
             carried[*i] = Some(values);
         }
     }
@@ -71,7 +83,10 @@ fn group_of(group: &Group, columns: &[&Values], flags: &[&Values], near: &Near) 
         (How::Normal, &[x, y, z]) => normals([x, y, z], weighted, &present).into(),
         (How::Rotation, &[w, x, y, z]) => rotations([w, x, y, z], weighted, &present).into(),
         (How::Flag, _) => columns.iter().map(|flag| flagged(flag, near, &present)).collect(),
-        (How::Nearest, _) => columns.iter().map(|values| values.gather(&nearest(near, &present))).collect(),
+        (How::Nearest, _) => {
+            let rows = nearest(near, &present);
+            columns.iter().map(|values| values.gather(&rows)).collect()
+        }
         _ => columns.iter().map(|values| mean(values, weighted, &present)).collect(),
     }
 }
@@ -96,12 +111,12 @@ fn present(how: How, columns: &[&Values], flags: &[&Values]) -> Present {
 }
 
 /// The rows of the nearest source points that have a value.
-fn nearest(near: &Near, present: &Present) -> Vec<u32> {
+fn nearest<'a>(near: &'a Near, present: &Present) -> Cow<'a, [u32]> {
     if present.is_none() {
-        return near.nearest().collect();
+        return Cow::Borrowed(near.nearest());
     }
     let row = |near| those_with(near, present).next().map_or(near[0].0, |(row, _)| row as u32);
-    near.weighted.par_iter().map(row).collect()
+    Cow::Owned(near.weighted.par_iter().map(row).collect())
 }
 
 /// Whether new points have no value where a flag says that of source points.

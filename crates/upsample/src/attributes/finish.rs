@@ -1,6 +1,6 @@
 //! From the cascade's points to a result: the input's points among them, and what is known of each.
 
-use super::carry::carry;
+use super::carry::carry_near;
 use super::keep::without_nearest;
 use super::near::Near;
 use super::plan::{Plan, normal_of};
@@ -83,17 +83,23 @@ pub fn finish(
         originals = kept.iter().map(|&i| source.positions[i as usize]).collect();
         dense = without_nearest(dense, &originals)?;
     }
-    let mut attributes = carry(source, &dense, plan, cancelled)?;
+    let needed = how.source_fields || plan.kept().next().is_some();
+    let near = if needed { Some(Near::find(&source.positions, &dense, cancelled)?) } else { None };
+    let mut attributes = match &near {
+        Some(near) => carry_near(source, near, plan, cancelled)?,
+        None => Vec::new(),
+    };
+    // Else its memory is free from here.
+    let near = near.filter(|_| how.source_fields);
     for (attribute, own) in attributes.iter_mut().zip(plan.kept()) {
         let mut values = source.attributes[own].values.gather(&kept);
         values.append(&mut attribute.values);
         attribute.values = values;
     }
-    if how.source_fields {
-        let near = Near::find(&source.positions, &dense, cancelled)?;
+    if let Some(near) = near {
         attributes.retain(|a| a.name != "source_index" && a.name != "is_generated");
         let mut index = kept.clone();
-        index.extend(near.nearest());
+        index.extend_from_slice(near.nearest());
         attributes.push(Attribute { name: "source_index".into(), values: Values::U32(index) });
         let mut generated = vec![0; kept.len()];
         generated.resize(kept.len() + dense.len(), 1);

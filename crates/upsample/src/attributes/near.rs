@@ -1,5 +1,7 @@
 //! The source points that a new point's values come from.
 
+use std::sync::OnceLock;
+
 use rayon::prelude::*;
 
 use densecloud_cloud::{Frame, Point, Position};
@@ -17,6 +19,7 @@ pub(super) type Weighted = [(u32, f32); NEAREST - 1];
 /// For each new point its nearest source points, by their rows in the source.
 pub(super) struct Near {
     pub(super) weighted: Vec<Weighted>,
+    nearest: OnceLock<Vec<u32>>,
 }
 
 impl Near {
@@ -60,12 +63,12 @@ impl Near {
             }
             weighted.par_extend(block.par_iter().map_init(Walk::default, look));
         }
-        Some(Self { weighted })
+        Some(Self { weighted, nearest: OnceLock::new() })
     }
 
-    /// The row of the nearest source point of each.
-    pub(super) fn nearest(&self) -> impl Iterator<Item = u32> {
-        self.weighted.iter().map(|near| near[0].0)
+    /// The row of the nearest source point of each; collected once, and kept.
+    pub(super) fn nearest(&self) -> &[u32] {
+        self.nearest.get_or_init(|| self.weighted.par_iter().map(|near| near[0].0).collect())
     }
 }
 
