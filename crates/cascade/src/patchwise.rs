@@ -187,7 +187,7 @@ impl Workspace {
         self.skip_distances.clear();
         if let Some(skip) = level.skip {
             for &i in members {
-                self.skip_indices.extend_from_slice(skip.rows(i as usize));
+                self.skip_indices.extend(skip.rows(i as usize).iter().copied().map(i64::from));
                 self.skip_distances.extend_from_slice(skip.distances(i as usize));
             }
         }

@@ -187,7 +187,7 @@ pub struct Demand {
 impl Default for Demand {
     /// What the shipped model takes, which is more than most.
     fn default() -> Self {
-        Self { fixed: 1 << 20, a_point: 512 }
+        Self { fixed: 1 << 20, a_point: 576 }
     }
 }
 

@@ -11,7 +11,7 @@ use densecloud_geometry::{KdTree, Walk};
 #[derive(Debug)]
 pub struct SkipNeighbours {
     /// `[n, 5]` rows of the previous feature table.
-    rows: Vec<i64>,
+    rows: Vec<u32>,
     /// `[n, 5]` squared distances.
     distances: Vec<f32>,
 }
@@ -32,7 +32,7 @@ impl SkipNeighbours {
             .for_each_init(Walk::default, |walk, ((rows, distances), &point)| {
                 tree.nearest_next(point, SKIP_NEIGHBOURS, walk);
                 for (k, neighbour) in walk.found.iter().enumerate() {
-                    rows[k] = i64::from(previous_rows[neighbour.index as usize]);
+                    rows[k] = previous_rows[neighbour.index as usize];
                     distances[k] = neighbour.distance_squared;
                 }
             });
@@ -41,7 +41,7 @@ impl SkipNeighbours {
 
     /// Rows of the previous feature table for point `i`, nearest first.
     #[must_use]
-    pub fn rows(&self, i: usize) -> &[i64] {
+    pub fn rows(&self, i: usize) -> &[u32] {
         &self.rows[i * SKIP_NEIGHBOURS..][..SKIP_NEIGHBOURS]
     }
 

@@ -137,11 +137,13 @@ mod tests {
 
     #[test]
     fn memory_is_more_than_what_was_measured_and_not_much_more() {
-        // BENCHMARKS.md: points in, ratio, megabytes of the whole process.
-        for (points_in, ratio, megabytes) in [(100_000, 4, 155), (1_000_000, 4, 1122), (1_000_000, 16, 4026)]
-        {
+        // BENCHMARKS.md: points in, ratio, megabytes of the whole process, 50 of which it takes for itself.
+        for (points_in, ratio, megabytes) in [(100_000, 1, 147), (100_000, 4, 211), (1_000_000, 4, 1721)] {
             let estimate = cost(points_in, ratio * points_in).memory(Demand::default()) / 1_000_000;
-            assert!((megabytes..3 * megabytes).contains(&estimate), "{points_in} at {ratio}: {estimate}");
+            assert!(
+                (megabytes - 50..3 * megabytes).contains(&estimate),
+                "{points_in} at {ratio}: {estimate}"
+            );
         }
     }
 
