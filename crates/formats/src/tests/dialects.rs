@@ -173,6 +173,7 @@ fn ordinary_numbers_are_no_thousands() {
         "1 2 3\n1500 2 3.125\n1.125 5 6\n",
         "x;y;z\n3,129;4,824;21,042\n2,754;0,221;18\n",
         "x y z what\n1.125 2.125 3.125 12.345\n1.125 2.125 3.125 wall\n1.125 2.125 3.125 7\n",
+        "x y z what\n1.125 2.125 3.125 12.345\n1.125 2.125 3.125 7\n1.125 2.125 3.125 wall\n",
     ] {
         assert!(cloud(text).notes.is_empty(), "{text:?}");
     }

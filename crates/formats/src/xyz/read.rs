@@ -184,7 +184,8 @@ impl XyzPoints {
         let mut dialect = layout.dialect;
         dialect.split(line, &mut self.fields).map_err(wrong)?;
         self.drop_trailing(layout);
-        if self.fields.len() != layout.width || !dialect.quoted && line.contains(&b'"') {
+        let is_quoted = |field: &Range<usize>| line.get(field.start) == Some(&b'"');
+        if self.fields.len() != layout.width || !dialect.quoted && self.fields.iter().any(is_quoted) {
             if self.fields.len() == 1
                 && layout.counted.is_some()
                 && let Some(count) = as_count(line)
@@ -213,8 +214,11 @@ impl XyzPoints {
             let field = &line[self.fields[*column].clone()];
             let was_text = *other == TextColumn::Text;
             other.push_by(numbers, field, |field| dialect.number(field));
-            if !was_text && *other == TextColumn::Text && dialect.is_foreign(field) {
-                return Err(wrong(no_number(layout, dialect, *column, field)));
+            if !was_text && *other == TextColumn::Text {
+                if dialect.is_foreign(field) {
+                    return Err(wrong(no_number(layout, dialect, *column, field)));
+                }
+                self.thousands.forget(*column);
             }
         }
         if layout.counted.is_some()

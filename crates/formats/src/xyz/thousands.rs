@@ -36,6 +36,17 @@ pub(super) struct Doubt<'a> {
     pub(super) short: Option<&'a (u64, String)>,
 }
 
+impl Column {
+    /// Whether it has such a field, as nearly every one is that is looked at.
+    fn knows(&self, field: &[u8], mark: u8) -> bool {
+        if is_grouped(field, mark) {
+            return self.grouped.is_some();
+        }
+        let has_such = if field.len() > 3 { self.is_long } else { self.short.is_some() };
+        has_such && field.iter().all(|b| *b != mark)
+    }
+}
+
 impl Thousands {
     /// Of a table of `width` columns. `is_told` is whether a person says what the mark is.
     pub(super) fn new(decimal: Decimal, is_told: bool, width: usize) -> Self {
@@ -54,6 +65,9 @@ impl Thousands {
 
     /// Takes note of a number.
     pub(super) fn see(&mut self, column: usize, line: u64, field: &[u8]) {
+        if self.columns[column].knows(field, self.mark) {
+            return;
+        }
         let of = |column: &mut Option<(u64, String)>| {
             column.get_or_insert_with(|| (line, String::from_utf8_lossy(field).into_owned()));
         };
@@ -66,6 +80,11 @@ impl Thousands {
             Form::Other => return,
         }
         self.is_fraction = self.is_fraction || column.is_long && column.grouped.is_some();
+    }
+
+    /// A column is words, and its numbers tell nothing.
+    pub(super) fn forget(&mut self, column: usize) {
+        self.columns[column] = Column::default();
     }
 
     /// The first column of numbers that may be of thousands: one that mixes them with others before one that does not.
@@ -120,8 +139,7 @@ enum Form {
 
 impl Form {
     fn of(field: &[u8], mark: u8) -> Self {
-        let number = field.strip_prefix(b"-").or(field.strip_prefix(b"+")).unwrap_or(field);
-        let are_digits = |digits: &[u8]| digits.iter().all(u8::is_ascii_digit);
+        let number = unsigned(field);
         let Some(at) = number.iter().position(|b| *b == mark) else {
             return match number.len() {
                 _ if !are_digits(number) => Self::Other,
@@ -134,13 +152,33 @@ impl Form {
         let is_exponent = |b: &u8| matches!(b, b'e' | b'E' | b'd' | b'D' | b'+' | b'-');
         if !are_digits(whole) || !fraction.iter().all(|b| b.is_ascii_digit() || is_exponent(b)) {
             Self::Other
-        } else if matches!(whole, [b'1'..=b'9', ..]) && at <= 3 && fraction.len() == 3 && are_digits(fraction)
-        {
+        } else if is_grouped(field, mark) {
             Self::Grouped
         } else {
             Self::Fraction
         }
     }
+}
+
+/// Whether a number is a thousand or more, with a mark before its last three digits.
+fn is_grouped(field: &[u8], mark: u8) -> bool {
+    match unsigned(field) {
+        [b'1'..=b'9', whole @ .., found, a, b, c] => {
+            *found == mark && whole.len() < 3 && are_digits(whole) && are_digits(&[*a, *b, *c])
+        }
+        _ => false,
+    }
+}
+
+fn unsigned(field: &[u8]) -> &[u8] {
+    match field {
+        [b'-' | b'+', digits @ ..] => digits,
+        _ => field,
+    }
+}
+
+fn are_digits(digits: &[u8]) -> bool {
+    digits.iter().all(u8::is_ascii_digit)
 }
 
 #[cfg(test)]
