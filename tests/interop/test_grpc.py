@@ -205,13 +205,13 @@ def test_a_call_that_is_cancelled_leaves_nothing_behind(call, columns, address, 
         waiting.wait(60)
 
     for count in [0, 1, 20]:
-        answer = call(half(columns(large, ratio=64), count))
+        answer = call(half(columns(large, ratio=16), count))
         threading.Timer(0.2, answer.cancel).start()
         with pytest.raises(grpc.RpcError) as error:
             list(answer)
         assert error.value.code() == grpc.StatusCode.CANCELLED
     waiting.set()
-    answer = call(columns(large, ratio=64))
+    answer = call(columns(large, ratio=16))
     assert next(answer).WhichOneof("message") == "progress"
     answer.cancel()
     wanted = {"densecloud_requests_in_flight 0", "densecloud_held_bytes 0", "densecloud_queue_points 0"}
