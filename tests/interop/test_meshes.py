@@ -31,4 +31,4 @@ def test_a_mesh_is_not_an_output(tmp_path, upsample):
     source = tmp_path / "source.off"
     trimesh.creation.icosphere().export(source)
     for name in ["a.off", "a.obj"]:
-        assert "not written" in upsample(source, tmp_path / name, fails=True)
+        assert "cannot be written" in upsample(source, tmp_path / name, fails=True)
