@@ -58,6 +58,8 @@ fn options() -> impl Strategy<Value = Vec<(&'static str, String)>> {
         ("seed", "7"),
         ("keep_input", "true"),
         ("source_fields", "true"),
+        ("confidence", "true"),
+        ("min_confidence", "0.4"),
         ("normals", "estimate"),
         ("overlap", "2.5"),
         ("inner", "0.6"),
@@ -241,6 +243,59 @@ fn points_that_are_not_finite_do_not_decide_the_format() {
     let bytes = doors.library(&input, &options).expect("a dense cloud");
     assert!(doors.command(&input, &options, &[]).as_ref() == Some(&bytes));
     assert!(doors.http(&body, &options).as_ref() == Some(&bytes));
+}
+
+/// A plane and points strewn above it, some of them near: behind every door and in every format the result has those that
+/// are sure, and tells how many.
+#[test]
+fn what_is_not_sure_is_left_out_and_the_rest_counted_behind_every_door() {
+    let doors = Doors::open();
+    let mut body = String::new();
+    for i in 0..600 {
+        let (x, y) = (f64::from(i % 25), f64::from(i / 25));
+        let above = if i % 20 == 0 { 1.5 + f64::from(i % 7) } else { 0.0 };
+        let _ = writeln!(body, "{x} {y} {above}");
+    }
+    let input = doors.folder.path().join("in.xyz");
+    std::fs::write(&input, &body).expect("a file");
+    let options: Vec<(&'static str, String)> =
+        [("ratio", "4"), ("confidence", "true"), ("min_confidence", "0.8")]
+            .map(|(n, v)| (n, v.to_owned()))
+            .into();
+    let library = doors.library(&input, &options).expect("a dense cloud");
+    let rows = String::from_utf8(library.clone()).expect("text").lines().count();
+    assert!((1000..2400).contains(&rows), "{rows}");
+    assert!(doors.command(&input, &options, &[]).as_ref() == Some(&library));
+    let mut answer = doors.post("/upsample", &body, &options).expect("an answer");
+    assert_eq!(answer.headers()["densecloud-points-out"], rows.to_string().as_str());
+    let warnings = answer.headers().get_all("densecloud-warning").iter();
+    let left_out = format!("{} points of the result left out", 2400 - rows);
+    assert!(
+        warnings.filter_map(|told| told.to_str().ok()).any(|told| told.starts_with(&left_out)),
+        "{left_out}"
+    );
+    assert!(answer.body_mut().read_to_vec().expect("a body") == library);
+    assert!(doors.job(&body, &options).as_ref() == Some(&library));
+    let jobs: Value = serde_json::from_str(&doors.serving.page("/jobs")).expect("JSON");
+    assert_eq!(jobs["jobs"][0]["points_out"], rows);
+    assert!(doors.grpc(&body, &options).as_ref() == Some(&library));
+    for extension in ["ply", "las", "laz", "pcd", "e57", "npy", "csv"] {
+        let output = doors.folder.path().join(format!("out.{extension}"));
+        let options = Options::parse(&options).expect("options");
+        let report = doors.library.upsample_file(&input, &output, options).expect(extension);
+        let Input { cloud, .. } = Input::read(&output).expect(extension);
+        assert_eq!((cloud.positions.len(), report.points_out), (rows, rows as u64), "{extension}");
+        let sure = cloud.attributes.last().expect(extension);
+        // Text whose input names no columns names none.
+        let is_named = sure.name.eq_ignore_ascii_case("confidence");
+        assert!(is_named || extension == "csv", "{extension}: {}", sure.name);
+        assert!((0..rows).all(|i| (0.8..=1.0).contains(&sure.values.get(i))), "{extension}");
+    }
+    let nothing = [("min_confidence", "1".to_owned())];
+    let why = doors.library(&input, &nothing).expect_err("nothing is left");
+    assert_eq!(why, "no point of the result reaches the confidence 1; ask for less");
+    assert!(doors.command(&input, &nothing, &[]).is_none() && doors.job(&body, &nothing).is_none());
+    assert!(doors.http(&body, &nothing).is_none() && doors.grpc(&body, &nothing).is_none());
 }
 
 /// A table that tells neither its coordinates nor its marks.

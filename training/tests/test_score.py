@@ -10,6 +10,8 @@ from densecloud_training.clouds import validation_names
 from densecloud_training.score import __main__ as command
 from densecloud_training.score import (
     cleaning,
+    confidence,
+    evidence,
     inputs,
     noisy,
     peers,
@@ -403,3 +405,96 @@ def test_the_table_of_real_scans_counts_where_the_program_is_ahead():
     text = real.text(rows, [["a", "1,600", "1", "0.10", "0.0"]])
     assert "| repeated | 1 of 1 | 1.00 | 2.00 |" in text and "| midpoints | 0 of 1 | 1.00 | 0.90 |" in text
     assert "Thinned at most: 0.50 %" in text
+
+
+def case(kind: str, name: str, said: np.ndarray, within: np.ndarray, features: np.ndarray) -> confidence.Case:
+    missed = [np.array([0.5, 1.5, 2.5])] * len(confidence.LEAST)
+    return confidence.Case(kind, name, "even", 4, np.where(within, 0.5, 1.5), said, features, missed)
+
+
+def believable(n: int, seed: int, power: float = 1.0):
+    """Points of which is said what is true, or that raised to a power."""
+    random = np.random.default_rng(seed)
+    chance = random.random(n)
+    return chance**power, random.random(n) < chance
+
+
+def test_a_confidence_that_is_true_is_on_the_diagonal_and_one_that_is_not_is_off_it():
+    said, within = believable(100_000, 1)
+    share, mean, observed = confidence.calibration(said, within, np.ones(len(said))).T
+    assert share == pytest.approx(np.full(10, 0.1), abs=0.005)
+    assert np.abs(mean - observed).max() < 0.015
+    said, within = believable(100_000, 1, power=3)
+    _, mean, observed = confidence.calibration(said, within, np.ones(len(said))).T
+    assert (observed - mean)[:7].min() > 0.1, "said too low"
+
+
+def test_a_bin_where_nothing_is_said_has_no_number_and_one_is_in_the_last():
+    table = confidence.calibration(np.array([0.0, 1.0, 1.0]), np.array([False, True, False]), np.array([1, 1, 2]))
+    assert table[0].tolist() == [0.25, 0, 0]
+    assert table[9].tolist() == [0.75, 1, pytest.approx(1 / 3)]
+    assert np.isnan(table[1:9, 1:]).all()
+
+
+def test_the_fit_finds_the_model_that_made_the_points():
+    random = np.random.default_rng(2)
+    features = random.normal(size=(200_000, 2)) * [1, 30] + [5, 0]
+    constants = np.array([-4.0, 1.0, -0.05])
+    within = random.random(len(features)) < evidence.said(constants, features)
+    found = evidence.fit(features, within.astype(float), np.ones(len(features)))
+    assert found == pytest.approx(constants, rel=0.05)
+    assert evidence.said(found, features).mean() == pytest.approx(within.mean(), abs=1e-3)
+
+
+def test_what_is_far_from_the_input_or_in_no_sheet_has_other_features():
+    random = np.random.default_rng(3)
+    flat = np.hstack([random.random((2000, 2)), np.zeros((2000, 1))])
+    result = np.hstack([random.random((8000, 2)), np.zeros((8000, 1))])
+    sites = evidence.Sites.of(flat, result)
+    assert sites.root == 2
+    assert sites.result_spacing(flat).mean() == pytest.approx(0.0125, rel=0.1)
+    near, off = sites.features(result), sites.features(result + [0, 0, 0.1])
+    assert near[:, 2].max() < 1e-6 and near[:, 5] == pytest.approx(np.log(2))
+    assert (off[:, 0] > near[:, 0]).all() and (off[:, 1] > near[:, 1]).all()
+    # One that comes out as it went in was an outlier, and is no part of the surface.
+    outlier = np.array([[0.5, 0.5, 0.4]])
+    sites = evidence.Sites.of(np.concatenate([flat, outlier]), np.concatenate([result, outlier]))
+    assert len(sites.points) == 2000
+    assert sites.features(outlier)[0, 0] > 0.9
+
+
+def test_a_scan_testifies_for_itself_but_for_points_in_no_company():
+    points = np.concatenate([grid(40), [[20.0, 20.0, 15.0]]])
+    assert (~confidence.confirmed(points)).nonzero()[0].tolist() == [1600]
+    truth = confidence.of_scan(points)
+    assert truth.tree.query([20.0, 20.0, 15.0])[0] == 15
+    # Between four points of a grid is its surface, too.
+    assert truth.tree.query([20.5, 20.5, 0.0])[0] < 0.01
+    assert np.median(truth.ceiling) < 1
+
+
+def test_halves_share_no_shape_and_every_case_counts_alike():
+    names = [(confidence.SHAPES, n) for n in "abcd"] + [(confidence.SCANS, n) for n in "efg"]
+    cases = []
+    for i, (kind, name) in enumerate(names):
+        said, within = believable(1000 * (i + 1), i)
+        features = np.log(said / (1 - said))[:, None]
+        cases.append(case(kind, name, said, within, features))
+    first, second = confidence.halves(cases)
+    assert ([c.name for c in first], [c.name for c in second]) == (["a", "c", "e", "g"], ["b", "d", "f"])
+    weight = confidence.weights(cases)
+    assert weight[:1000].sum() == pytest.approx(weight[1000:3000].sum()) == pytest.approx(1 / 4)
+    assert confidence.fitted(cases) == pytest.approx([0, 1], abs=0.06)
+    told = confidence.text(cases)
+    assert "| scans | 0.9 and more | " in told and "| f even | 4 | " in told
+    left = next(line for line in told.splitlines() if line.startswith("| scans | 0.5 |"))
+    kept = cases[5].said >= 0.5
+    false = 100 * (~cases[5].within[kept]).mean()
+    assert left == f"| scans | 0.5 | {100 * kept.mean():.2f} | {false:.2f} | 0.00 | 66.67 | 33.33 |"
+
+
+def test_a_confidence_is_a_field_or_the_last_column():
+    columns = np.array([[1.0, 2.0, 3.0, 0.5], [4.0, 5.0, 6.0, 0.25]])
+    fields = np.zeros(2, [("x", "<f4"), ("confidence", "<f4")])
+    fields["confidence"] = columns[:, 3]
+    assert confidence.said_of(columns).tolist() == confidence.said_of(fields).tolist() == [0.5, 0.25]

@@ -32,6 +32,7 @@ mod anchors;
 mod apart;
 mod balance;
 mod border;
+mod confidence;
 #[cfg(any(test, feature = "fake"))]
 mod fake;
 mod flats;
@@ -51,6 +52,7 @@ mod skip;
 mod sphere;
 mod strays;
 
+pub use confidence::confidence;
 #[cfg(any(test, feature = "fake"))]
 pub use fake::Fake;
 pub use input::distinct;
@@ -199,6 +201,9 @@ pub enum CascadeError {
     /// The backend failed.
     #[error("{0}")]
     Backend(#[from] BackendError),
+    /// No point of the result is as sure as was asked for.
+    #[error("no point of the result reaches the confidence {0}; ask for less")]
+    NoneSure(f64),
     /// The system has no memory for a table of this many bytes.
     #[error("the system has no {0} bytes of memory for this cloud; ask for fewer points")]
     OutOfMemory(u64),

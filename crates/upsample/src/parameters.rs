@@ -80,7 +80,7 @@ impl fmt::Display for Value {
 }
 
 /// Every option, in the order of help texts.
-pub static PARAMETERS: [Parameter; 21] = [
+pub static PARAMETERS: [Parameter; 23] = [
     Parameter {
         name: "ratio",
         short: Some('r'),
@@ -168,6 +168,33 @@ pub static PARAMETERS: [Parameter; 21] = [
             Ok(())
         },
         tell: |options| Some(Value::Switch(options.finish.source_fields)),
+    },
+    Parameter {
+        name: "confidence",
+        short: None,
+        value: None,
+        help: "Add `confidence`, from 0 to 1, to each point: how likely it lies within one spacing of the surface",
+        topic: Topic::Attributes,
+        read: |options, text| {
+            options.finish.confidence = switch(text)?;
+            Ok(())
+        },
+        tell: |options| Some(Value::Switch(options.finish.confidence)),
+    },
+    Parameter {
+        name: "min_confidence",
+        short: None,
+        value: Some("X"),
+        help: "Leave out points whose confidence is below this, from 0 to 1, but for the input's own: the result is \
+               smaller than asked for",
+        topic: Topic::Points,
+        read: |options, text| {
+            let least = parse_in(text, 0.0..=1.0);
+            options.finish.min_confidence =
+                least.ok_or_else(|| format!("{text:?} is not a number from 0 to 1"))?;
+            Ok(())
+        },
+        tell: |options| Some(Value::Number(options.finish.min_confidence)),
     },
     Parameter {
         name: "normals",

@@ -110,6 +110,7 @@ impl Prepared {
         warnings.extend(lost);
         let request = Request::new(cloud, target, settings, finish);
         warnings.extend_from_slice(request.plan.warnings());
+        warnings.extend(request.finish.warnings(&request.cloud.attributes, &request.plan));
         let provenance = provenance::line(model, &request, &reading);
         origin.comments.push(provenance.clone());
         let report = Report { format, origin, provenance, points_in, points_out, warnings };
@@ -205,6 +206,19 @@ mod tests {
     }
 
     #[test]
+    fn a_confidence_of_the_input_keeps_its_name_and_a_warning_tells() {
+        let attributes = vec![Attribute { name: "Confidence".into(), values: Values::F32(vec![0.5; 100]) }];
+        let cloud = Cloud { attributes, ..Cloud::from(grid(0.0)) };
+        let told = |options: &[(&str, &str)]| {
+            let report = prepare(cloud.clone(), options).expect("a request").report;
+            report.warnings.iter().filter(|told| told.contains("confidence_")).count()
+        };
+        assert_eq!(told(&[("confidence", "true")]), 1);
+        assert_eq!(told(&[]) + told(&[("min_confidence", "0.5")]), 0, "there is no other");
+        assert_eq!(told(&[("confidence", "true"), ("attributes", "Confidence:drop")]), 0, "its name is free");
+    }
+
+    #[test]
     fn columns_from_text_have_the_types_of_their_places() {
         let column =
             |name: &str, number: f64| Attribute { name: name.into(), values: Values::F64(vec![number; 100]) };
@@ -237,6 +251,7 @@ mod tests {
             dropped_non_finite: 0,
             duplicates: 0,
             apart: 0,
+            unsure: 0,
         });
         let told = report.warnings.last().expect("a warning");
         assert_eq!(told, "in the result's file, names are others: \"a b\" as \"a_b\", \"red\" as \"red_\"");

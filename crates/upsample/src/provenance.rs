@@ -20,7 +20,15 @@ pub fn line(model: &ModelName, request: &Request, reading: &Reading) -> String {
     let Request { cloud, target, settings, finish, plan: _ } = request;
     let CascadeOptions { seed, overlap, inner, max_displacement, max_distance, polish, spread, quality } =
         settings;
-    let Finish { rules, keep_input, source_fields: _, estimate_normals, sensor } = finish;
+    let Finish {
+        rules,
+        keep_input,
+        min_confidence,
+        estimate_normals,
+        sensor,
+        source_fields: _,
+        confidence: _,
+    } = finish;
     let Reading { format, axes, separator, decimal } = reading;
     let mut line = format!(
         "{MARK}version={} model={} model_sha256={}",
@@ -51,6 +59,9 @@ pub fn line(model: &ModelName, request: &Request, reading: &Reading) -> String {
     add("quality", quality);
     if *keep_input {
         add("keep_input", &true);
+    }
+    if *min_confidence > 0.0 {
+        add("min_confidence", min_confidence);
     }
     if *estimate_normals {
         add("normals", &"estimate");

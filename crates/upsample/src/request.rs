@@ -57,21 +57,28 @@ impl Request {
             dropped_non_finite: dense.dropped_non_finite,
             duplicates: dense.duplicates,
             apart: dense.apart,
+            unsure: 0,
         };
         if !finish.is_needed(cloud) {
             return Ok(made);
         }
         observer.begin(dense.levels.saturating_sub(1), Stage::Attributes);
+        let asked_for = made.positions.len();
         let finished = attributes::finish(cloud, made.positions, finish, plan, &|| observer.cancelled());
         let (positions, attributes) = finished.ok_or(CascadeError::Cancelled)?;
-        Ok(Made { positions, attributes, ..made })
+        if positions.is_empty() {
+            return Err(CascadeError::NoneSure(finish.min_confidence));
+        }
+        let unsure = asked_for.saturating_sub(positions.len());
+        Ok(Made { positions, attributes, unsure, ..made })
     }
 }
 
 /// What became of a request.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Made {
-    /// The dense cloud: exactly as many positions as were asked for, in the input's coordinates.
+    /// The dense cloud in the input's coordinates: exactly as many positions as were asked for, without those that are
+    /// unsure.
     pub positions: Vec<Position>,
     /// The attributes of each point.
     pub attributes: Vec<Attribute>,
@@ -81,6 +88,8 @@ pub struct Made {
     pub duplicates: usize,
     /// Points that lie apart from all others, kept as they are.
     pub apart: usize,
+    /// Points left out because their confidence is below the least that was asked for.
+    pub unsure: usize,
 }
 
 impl Made {
@@ -94,6 +103,7 @@ impl Made {
                 self.apart,
                 "points lie apart from all others (outliers?); they are kept as they are, and nothing is made of them",
             ),
+            (self.unsure, "points of the result left out: their confidence is below the least asked for"),
         ];
         let some = sentences.into_iter().filter(|(count, _)| *count > 0);
         some.map(|(count, sentence)| format!("{count} {sentence}")).collect()

@@ -8,7 +8,7 @@ from typing import List, Sequence
 from ..clouds import validation_names
 from ..errors import run_command
 from ..prepare import find_program
-from . import noisy, peers, pictures, real, rules, stress, targets, validation
+from . import confidence, noisy, peers, pictures, real, rules, stress, targets, validation
 from .inputs import Inputs
 from .program import Program
 
@@ -38,6 +38,9 @@ def parser() -> argparse.ArgumentParser:
     found.add_argument(
         "--scans", type=Path, required=True, action="append", help="a folder of scans; may be given again"
     )
+    found = commands.add_parser("confidence", parents=[common, meshes], help="what is said of points against the truth")
+    found.add_argument("--scans", type=Path, action="append", default=[], help="a folder of scans; may be given again")
+    found.add_argument("--fit", action="store_true", help="also fits the model's constants, on one half of the inputs")
     found = commands.add_parser("noisy", parents=[common, meshes], help="what cleaning before upsampling gains")
     found.add_argument("--scans", type=Path, help="folder of scans: draws one of them too, cleaned in each way")
     found = commands.add_parser("pictures", parents=[common], help="before and after, of real scans")
@@ -90,6 +93,13 @@ def run(arguments: argparse.Namespace) -> None:
     elif arguments.command == "real":
         only = arguments.shapes.split(",") if arguments.shapes else []
         write(out, "real.md", real.text(*real.evaluate(program, arguments.scans, out, only)))
+    elif arguments.command == "confidence":
+        cases = list(confidence.shapes(held_out(arguments, program)))
+        cases += confidence.scans(program, arguments.scans, out)
+        confidence.draw(cases, out / "confidence.png")
+        write(out, "confidence.md", confidence.text(cases))
+        if arguments.fit:
+            write(out, "confidence-fit.md", confidence.fit_text(cases))
     elif arguments.command == "noisy":
         drawn = noisy.draw(program, arguments.scans, out) + "\n" if arguments.scans else ""
         inputs = held_out(arguments, program, noisy.SHAPES)

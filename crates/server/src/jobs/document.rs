@@ -88,12 +88,15 @@ impl Document {
         task: Option<&Task>,
     ) -> Result<Self, Problem> {
         let progress = Progress::of(record, task);
+        let result = record.result.as_ref();
+        let made = result.map(about).transpose()?.map(|about| about.points_out);
         let mut document = Self {
             id: record.id.clone(),
             state: record.state.name(),
             over: record.state.is_final(),
             points_in: record.points_in,
-            points_out: record.points_out,
+            // What is left out for its confidence is known at the end.
+            points_out: made.unwrap_or(record.points_out),
             position: None,
             attempts: record.attempts,
             created: rfc3339(record.created),
@@ -105,11 +108,7 @@ impl Document {
             }),
             expected_start: None,
             expected_end: None,
-            result: record
-                .result
-                .as_ref()
-                .map(|result| ResultDocument::of(&record.id, result))
-                .transpose()?,
+            result: result.map(|result| ResultDocument::of(&record.id, result)).transpose()?,
             problem: record.failure.as_ref().map(|failure| failed_as(failure, &record.request_id)),
             request_id: record.request_id.clone(),
             progress,

@@ -32,6 +32,7 @@ impl From<CascadeError> for Problem {
             | CascadeError::TooFewPoints { .. }
             | CascadeError::TooManyDuplicates { .. }
             | CascadeError::TooManyPoints(_)
+            | CascadeError::NoneSure(_)
             | CascadeError::Frame(_) => Self::Impossible(error.to_string()),
             CascadeError::OutOfMemory(bytes) => Self::OutOfMemory(bytes),
             // Nobody but a stopping engine cancels a request that is still waited for.

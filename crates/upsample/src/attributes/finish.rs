@@ -5,6 +5,8 @@ use super::keep::without_nearest;
 use super::near::Near;
 use super::plan::{Plan, normal_of};
 use super::rules::{Rule, Rules};
+use super::sure;
+use densecloud_cascade::confidence;
 use densecloud_cloud::{Attribute, Cloud, Frame, Origin, Point, Position, Sensors, Values};
 use densecloud_geometry::{estimate_normals, indices};
 
@@ -22,6 +24,12 @@ pub struct Finish {
     /// Whether each point tells the row of the source point that it is, or that is nearest (`source_index`,
     /// counted from 0), and whether it is new (`is_generated`, 0 or 1).
     pub source_fields: bool,
+    /// Whether each point tells how likely it lies within one spacing of the surface
+    /// ([`confidence`](densecloud_cascade::confidence), from 0 to 1).
+    pub confidence: bool,
+    /// Points whose confidence is below this are left out, but for the source's own that are kept: the result then has
+    /// fewer points than were asked for. 0 keeps all.
+    pub min_confidence: f64,
     /// Whether `nx`, `ny` and `nz` are estimated from the result's points, rather than carried over. On the
     /// side of the source's normals, if it has some; else towards the sensor; else on an arbitrary one.
     /// Points of the source that are kept keep theirs.
@@ -36,7 +44,8 @@ impl Finish {
     pub fn bytes_a_point(&self, source: &[Attribute]) -> u64 {
         let kept = source.iter().filter(|a| self.rules.set_for(&a.name) != Some(Rule::Drop));
         let kept: u64 = kept.map(|a| a.values.kind().size() as u64).sum();
-        kept + 5 * u64::from(self.source_fields) + 12 * u64::from(self.estimate_normals)
+        let own = 5 * u64::from(self.source_fields) + 4 * u64::from(self.confidence);
+        kept + own + 12 * u64::from(self.estimate_normals)
     }
 
     /// What a result takes over of what the source's file tells of the whole, and a sentence about what it
@@ -56,14 +65,33 @@ impl Finish {
 
     /// Whether there is anything to do.
     pub fn is_needed(&self, source: &Cloud) -> bool {
-        !source.attributes.is_empty() || self.keep_input || self.source_fields || self.estimate_normals
+        let added = self.source_fields || self.estimate_normals || self.asks_confidence();
+        !source.attributes.is_empty() || self.keep_input || added
+    }
+
+    /// Whether the points' confidence has to be known.
+    pub(super) fn asks_confidence(&self) -> bool {
+        self.confidence || self.min_confidence > 0.0
+    }
+
+    /// What a person should know about the attributes that are added to a source's, a sentence each.
+    pub(crate) fn warnings(&self, source: &[Attribute], plan: &Plan) -> Option<String> {
+        let names: Vec<&str> = plan.kept().map(|i| source[i].name.as_str()).collect();
+        let name = sure::name(&names);
+        (self.confidence && name != sure::NAME).then(|| {
+            format!(
+                "the input has an attribute {:?} of its own, so the result's is called {name:?}",
+                sure::NAME
+            )
+        })
     }
 }
 
 /// Finishes a result, its attributes as planned for the cloud that `source` is or is a part of. `None` when `cancelled` says so in between, or when no source point is finite.
 ///
 /// Cost: that of [`carry()`](super::carry()), and with [`Finish::keep_input`] or
-/// [`Finish::estimate_normals`] a tree of the dense points and a few neighbours of each.
+/// [`Finish::estimate_normals`] a tree of the dense points and a few neighbours of each; a confidence takes that of
+/// [`confidence`].
 ///
 /// # Panics
 /// Above [`MAX_POINTS`](densecloud_geometry::MAX_POINTS) points in the source, which the cascade refuses.
@@ -114,7 +142,11 @@ pub fn finish(
         let stood = Stood::of(how, &source.origin, &attributes);
         normals(&positions, kept.len(), &mut attributes, &stood)?;
     }
-    Some((positions, attributes))
+    if !how.asks_confidence() {
+        return Some((positions, attributes));
+    }
+    let confidence = confidence(&source.positions, &positions, cancelled)?;
+    Some(sure::finish(positions, attributes, confidence, kept.len(), how))
 }
 
 /// Where the sensor stood that saw a point.
@@ -304,6 +336,37 @@ mod tests {
             let d = [p[0] - 4e5, p[1] - 5e6, p[2] - 100.0];
             assert!((0..3).map(|a| d[a] * attributes[1 + a].values.get(i)).sum::<f64>() < 0.0);
         }
+    }
+
+    #[test]
+    fn what_is_not_sure_is_left_out_of_the_same_result() {
+        let (mut source, mut dense) = (sphere(300, 1, true), sphere(1200, 2, false));
+        source.positions[17] = [4e5, 5e6, 105.0];
+        dense.positions.extend([[4e5, 5e6, 104.0], [4e5, 5e6, 106.0]]);
+        for keep_input in [false, true] {
+            let how = Finish {
+                confidence: true,
+                keep_input,
+                estimate_normals: true,
+                source_fields: true,
+                ..Finish::default()
+            };
+            let (positions, attributes) = run(&source, &dense, &how);
+            let names: Vec<&str> = attributes.iter().map(|a| a.name.as_str()).collect();
+            assert_eq!(names, ["id", "nx", "ny", "nz", "source_index", "is_generated", "confidence"]);
+            let kept = if keep_input { 300 } else { 0 };
+            let left: Vec<u32> = indices(positions.len())
+                .filter(|&i| i < kept || attributes[6].values.get(i as usize) >= 0.8)
+                .collect();
+            assert!((600..1202).contains(&left.len()), "{}", left.len());
+            let fewer = run(&source, &dense, &Finish { min_confidence: 0.8, ..how });
+            assert_eq!(fewer.0, left.iter().map(|&i| positions[i as usize]).collect::<Vec<_>>());
+            for (fewer, all) in fewer.1.iter().zip(&attributes) {
+                assert_eq!(fewer.values, all.values.gather(&left), "{}", all.name);
+            }
+        }
+        let silent = run(&source, &dense, &Finish { min_confidence: 0.8, ..Finish::default() });
+        assert_eq!(silent.1.len(), 4, "no attribute where none is asked for");
     }
 
     #[test]

@@ -8,6 +8,7 @@ mod mean;
 mod near;
 mod plan;
 mod rules;
+mod sure;
 mod vectors;
 
 pub use carry::carry;
