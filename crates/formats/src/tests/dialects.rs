@@ -330,6 +330,37 @@ fn titles_comments_and_ends_are_no_points() {
 }
 
 #[test]
+fn comments_that_tell_numbers_name_no_columns() {
+    let points = "1.5 2.5 3.5 7 8 9 10\n4 5 6 7 8 9 10\n";
+    for mark in ["#", "%", "//"] {
+        let found = cloud(&format!("{mark} min x y z: 1.5 2.5 3.5\n{mark} max x y z: 4 5 6\n{points}"));
+        assert_eq!(found.positions, [[1.5, 2.5, 3.5], [4.0, 5.0, 6.0]], "{mark}");
+        assert_eq!(names(&found), names(&cloud(points)), "{mark}");
+    }
+    let told = cloud("# y: 1 x: 2 z: 3\n1.5 2.5 3.5 4 5 6\n");
+    assert_eq!(told.positions, [[1.5, 2.5, 3.5]]);
+}
+
+#[test]
+fn what_stands_before_all_names_is_none_of_them() {
+    let found = cloud("# columns: y x z\n2.5 1.5 3.5\n");
+    assert_eq!(found.positions, [[1.5, 2.5, 3.5]]);
+    let fewer = cloud("# columns: x y z\n1.5 2.5 3.5 4.5\n");
+    assert_eq!((fewer.positions[0], names(&fewer)), ([1.5, 2.5, 3.5], vec!["column 4"]));
+    let why = refusal("# columns: z y x\n1.5 2.5 3.5 4.5\n");
+    assert!(why.contains("3 names (z, y, x), and the points have 4 columns"), "{why}");
+}
+
+#[test]
+fn names_behind_a_mark_that_name_no_coordinates_are_refused() {
+    let text =
+        "# frame 0\n# TIMESTAMP (ns), RANGE (mm), X1 (mm), Y1 (mm), Z1 (mm)\n170,5,1,2,3\n171,5,4,5,6\n";
+    assert!(refusal(text).contains("says which columns are x, y and z; say it: --axes"), "{}", refusal(text));
+    let reading = Reading { axes: Some("3,4,5".parse().expect("axes")), ..Reading::default() };
+    assert_eq!(read_as(text, &reading).expect("a cloud").positions, [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]);
+}
+
+#[test]
 fn empty_coordinates_are_no_numbers() {
     let table = cloud("x,y,z,intensity\n,,,0\n2.5,5.5,18,1\n,1,2,3\n");
     assert!(table.positions[0].iter().all(|c| c.is_nan()));

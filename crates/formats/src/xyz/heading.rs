@@ -50,8 +50,9 @@ impl Heading {
         let mut found: Vec<Self> = Vec::new();
         for separator in std::iter::once(separator).chain(others) {
             for (names, quoted) in cut(rest, separator) {
-                if !found.iter().any(|other| other.names == names) {
-                    found.push(Self { prefix: prefix.clone(), names, quoted });
+                let heading = Self { prefix: prefix.clone(), names: without_label(names), quoted };
+                if !heading.is_statement() && !found.contains(&heading) {
+                    found.push(heading);
                 }
             }
         }
@@ -87,7 +88,17 @@ impl Heading {
 
     /// Whether these are three numbers or more, and nothing else.
     pub(super) fn is_numbers(&self) -> bool {
-        self.names.len() >= 3 && self.names.iter().all(|name| name.parse::<f64>().is_ok())
+        self.names.len() >= 3 && self.names.iter().all(|name| is_number(name))
+    }
+
+    /// Whether it tells numbers rather than names, as `min x y z: 0.5 1.5 2.5`.
+    fn is_statement(&self) -> bool {
+        self.names.iter().any(|name| name.ends_with(':')) && self.names.iter().any(|name| is_number(name))
+    }
+
+    /// Whether each column has a name of words here, whatever it may mean.
+    pub(super) fn is_of_words(&self) -> bool {
+        self.names.iter().all(|name| !name.is_empty() && !is_number(name))
     }
 
     /// Gives a name to columns without one and makes names unique; tells what was changed, a sentence each.
@@ -149,6 +160,22 @@ fn cut_words(text: &str) -> Vec<(Vec<String>, bool)> {
         }
     }
     vec![(words, quoted), (joined, quoted)]
+}
+
+/// Names without what stands before them all, as `columns: x y z`.
+fn without_label(mut names: Vec<String>) -> Vec<String> {
+    if let Some((label, others)) = names.split_first()
+        && label.ends_with(':')
+        && !others.iter().any(|name| name.ends_with(':'))
+        && !matches!(axes_of(others), Ok(None))
+    {
+        names.remove(0);
+    }
+    names
+}
+
+fn is_number(name: &str) -> bool {
+    name.parse::<f64>().is_ok()
 }
 
 fn named(fields: Vec<(String, bool)>) -> (Vec<String>, bool) {

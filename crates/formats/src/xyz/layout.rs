@@ -180,13 +180,21 @@ impl<'a> Head<'a> {
         let all = Heading::all(&self.lines[at].bytes, self.fit.dialect.separator);
         let names_axes = |heading: &Heading| !matches!(heading.axes(), Ok(None));
         match Heading::fitting(all.clone(), self.width) {
-            Some(heading) if names_axes(&heading) => self.headings.push((at, heading)),
+            Some(heading) if names_axes(&heading) || self.names_other_columns(at, &heading) => {
+                self.headings.push((at, heading));
+            }
             _ => {
                 if let Some(heading) = all.into_iter().find(names_axes) {
                     self.unfit = Some((at, heading));
                 }
             }
         }
+    }
+
+    /// Whether a comment names the columns, no coordinates among them, and not by chance: right before the points, and
+    /// with marks between the names.
+    fn names_other_columns(&self, at: usize, heading: &Heading) -> bool {
+        at + 1 == self.fit.first && self.fit.dialect.separator.character().is_some() && heading.is_of_words()
     }
 
     fn see_count(&mut self, line: u64, count: u64) -> Result<(), FormatError> {
