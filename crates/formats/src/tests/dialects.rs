@@ -514,3 +514,33 @@ fn ten_thousand_comments_before_the_points_are_no_matter() {
     let text = format!("{comments}# z y x\n1 2 3\n4 5 6\n");
     assert_eq!(cloud(&text).positions, [[3.0, 2.0, 1.0], [6.0, 5.0, 4.0]]);
 }
+
+#[test]
+fn whole_numbers_before_three_fractions_may_be_no_coordinates() {
+    let rows = |write: &dyn Fn(usize, f64) -> String| -> String {
+        (1..20).map(|i| write(i, 0.25 + i as f64)).collect()
+    };
+    let labelled: [&dyn Fn(usize, f64) -> String; 3] = [
+        &|i, at| format!("{i},{},{},{at}\n", 477_030.0 + at, 4_366_568.0 - at),
+        &|_, at| format!("2 {at} {} {}\n", -at, 3.0 * at),
+        &|i, at| format!("{i};{at};{at};{at};TREE\n"),
+    ];
+    for write in labelled {
+        let text = rows(write);
+        assert!(refusal(&text).contains("Say --axes 2,3,4, or --axes 1,2,3"), "{}", refusal(&text));
+        for (axes, is_label) in [("2,3,4", false), ("1,2,3", true)] {
+            let reading = Reading { axes: Some(axes.parse().expect("axes")), ..Reading::default() };
+            let found = read_as(&text, &reading).expect("a cloud").positions[0][0];
+            assert_eq!(found.fract() == 0.0, is_label, "{axes}: {found}");
+        }
+    }
+    // Coordinates in whole metres, beside anything; three columns alone; names; and few points.
+    for text in [
+        rows(&|i, at| format!("{i} {} 5 {at} {at}\n", 2 * i)),
+        rows(&|i, at| format!("{i} {at} {at}\n")),
+        format!("x y z a\n{}", rows(&|i, at| format!("{i} {at} {at} {at}\n"))),
+        "1 2.5 3.5 4.5\n".into(),
+    ] {
+        assert_eq!(cloud(&text).positions[0][0], 1.0, "{text}");
+    }
+}

@@ -11,6 +11,7 @@ use super::cuts;
 use super::dialect::Dialect;
 use super::fit::{Fit, best};
 use super::heading::{Heading, Style};
+use super::leading;
 use super::sample::{Line, Sample, is_comment};
 use super::{Decimal, Separator};
 
@@ -63,6 +64,9 @@ impl Layout {
         let mut layout = Head::of(&lines, fit)?.layout(reading)?;
         if layout.names.is_none() && separator.is_none() && reading.decimal.is_none() {
             cuts::unambiguous(&lines, &layout)?;
+        }
+        if layout.names.is_none() && reading.axes.is_none() {
+            leading::is_coordinate(&lines, &layout)?;
         }
         layout.notes.dedup();
         layout.notes.extend(comments::behind_points(&lines, &layout));

@@ -6,6 +6,7 @@ mod dialect;
 mod fit;
 mod heading;
 mod layout;
+mod leading;
 mod marks;
 mod names;
 mod read;
