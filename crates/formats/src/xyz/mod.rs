@@ -4,6 +4,7 @@ mod comments;
 mod cuts;
 mod dialect;
 mod fit;
+mod head;
 mod heading;
 mod layout;
 mod leading;
