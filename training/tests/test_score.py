@@ -16,6 +16,7 @@ from densecloud_training.score import (
     noisy,
     peers,
     pictures,
+    plane,
     real,
     report,
     rules,
@@ -396,11 +397,18 @@ def test_roughness_tells_a_plane_from_a_volume():
     assert real.roughness(real.Truth.of(volume))[1] > 0.9
 
 
+def test_a_perfect_result_loses_to_doing_nothing_where_a_scan_is_random_and_noisy():
+    clean, noisy, even = (plane.scores(*scan, points=2_500) for scan in ((False, 0.0), (False, 0.6), (True, 0.0)))
+    assert clean["perfect"]["CDH"] < clean["repeated"]["CDH"] < clean["midpoints"]["CDH"]
+    assert noisy["perfect"]["CDH"] > noisy["repeated"]["CDH"] and noisy["perfect"]["miss L"] < 0.2
+    assert even["perfect"]["CDH"] < even["midpoints"]["CDH"] < even["repeated"]["CDH"]
+
+
 def test_the_table_of_real_scans_counts_where_the_program_is_ahead():
     scores = dict.fromkeys(real.HEADER[3:], 1.0)
     rows = [
         real.Row("a", "random", method, {**scores, "CDH": cdh, "thinned": 0.5})
-        for method, cdh in (("repeated", 2.0), ("midpoints", 0.9), ("densecloud", 1.0))
+        for method, cdh in (("repeated", 2.0), ("midpoints", 0.9), ("densecloud", 1.0), ("resampled", 0.5))
     ]
     text = real.text(rows, [["a", "1,600", "1", "0.10", "0.0"]])
     assert "| repeated | 1 of 1 | 1.00 | 2.00 |" in text and "| midpoints | 0 of 1 | 1.00 | 0.90 |" in text

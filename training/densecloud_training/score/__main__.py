@@ -8,7 +8,7 @@ from typing import List, Sequence
 from ..clouds import validation_names
 from ..errors import run_command
 from ..prepare import find_program
-from . import confidence, noisy, peers, pictures, real, rules, stress, targets, validation
+from . import confidence, noisy, peers, pictures, plane, real, rules, stress, targets, validation
 from .inputs import Inputs
 from .program import Program
 
@@ -38,6 +38,7 @@ def parser() -> argparse.ArgumentParser:
     found.add_argument(
         "--scans", type=Path, required=True, action="append", help="a folder of scans; may be given again"
     )
+    commands.add_parser("plane", parents=[common], help="what the columns of `real` say of a perfect result")
     found = commands.add_parser("confidence", parents=[common, meshes], help="what is said of points against the truth")
     found.add_argument("--scans", type=Path, action="append", default=[], help="a folder of scans; may be given again")
     found.add_argument("--fit", action="store_true", help="also fits the model's constants, on one half of the inputs")
@@ -93,6 +94,8 @@ def run(arguments: argparse.Namespace) -> None:
     elif arguments.command == "real":
         only = arguments.shapes.split(",") if arguments.shapes else []
         write(out, "real.md", real.text(*real.evaluate(program, arguments.scans, out, only)))
+    elif arguments.command == "plane":
+        write(out, "plane.md", plane.text())
     elif arguments.command == "confidence":
         cases = list(confidence.shapes(held_out(arguments, program)))
         cases += confidence.scans(program, arguments.scans, out)

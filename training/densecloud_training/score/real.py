@@ -62,7 +62,8 @@ added. `to 95 %` and `from 95 %`: the 95th percentiles of these. False: share of
 than 1 or 2 spacings, or than its local scale (L). Miss: share of the scan, %, further from the result. Thinned: share \
 of the input's points, %, whose 8th neighbour in the result is further off than their 8th neighbour in the input was. \
 Variation: of the distances to the nearest other, in the local scale. Repeated: the input itself, do nothing. \
-Midpoints: the input, and the middles between each point and its nearest ones.
+Midpoints: the input, and the middles between each point and its nearest ones. Resampled: as many points as \
+the scan has, on the surface of the *whole* scan, which no method may see: what a surface can reach here.
 """
 
 
@@ -211,21 +212,23 @@ def evaluate(program: Program, folders: List[Path], out: Path, only: List[str]) 
         chosen = cropped(whole)
         truth = Truth.of(whole[chosen])
         rough, no_surface = roughness(truth)
+        resampled = upsampled(program, truth.points, out / "real" / f"{name}-whole", ratio=1)
         facts.append([name, f"{len(truth.points):,}", f"{truth.spacing:.3g}", plain(rough), plain(100 * no_surface, 1)])
         for thinning, thin in thinnings(scan, table, chosen).items():
             kept = thin(truth.points)
             source = truth.points[kept]
             results = {"repeated": source, "midpoints": midpoints(source)}
             results["densecloud"] = upsampled(program, source, out / "real" / f"{name}-{thinning}")
+            results["resampled"] = resampled
             rows += [Row(name, thinning, method, score(truth, kept, points)) for method, points in results.items()]
     return rows, facts
 
 
-def upsampled(program: Program, source: np.ndarray, place: Path) -> np.ndarray:
+def upsampled(program: Program, source: np.ndarray, place: Path, ratio: int = RATIO) -> np.ndarray:
     """What the program makes of an array; both are left beside each other."""
     given, made = place.with_suffix(".npy"), place.with_name(place.name + "-dense.npy")
     np.save(given, source)
-    program.upsample(given, made, "--ratio", RATIO)
+    program.upsample(given, made, "--ratio", ratio)
     return points_of(np.load(made))
 
 
@@ -259,7 +262,7 @@ def text(rows: List[Row], facts: List[List[str]]) -> str:
     cases = {(row.scan, row.thinning): {} for row in rows}
     for row in rows:
         cases[row.scan, row.thinning][row.method] = row.scores["CDH"]
-    for control in ("repeated", "midpoints"):
+    for control in ("repeated", "midpoints", "resampled"):
         ahead = sum(case["densecloud"] < case[control] for case in cases.values())
         ours = np.mean([case["densecloud"] for case in cases.values()])
         theirs = np.mean([case[control] for case in cases.values()])
