@@ -7,6 +7,7 @@
 //! | [`estimate_normals`] | normals by PCA | O(n (k + log n)) |
 //! | [`SurfaceDistance`] | distance to a mesh | build O(t log t), query about O(log t) |
 //! | [`poisson_disk`], [`uniform`] | points on a triangle mesh | O(n log n), O(n log t) |
+//! | [`Partition`] | space cut into boxes of as many points each | O(n log cells) |
 //! | [`Mesh`], [`shape`] | triangle meshes, and some built in | |
 //! | [`Rng`] | the random numbers of all of this, fixed for good | |
 //!
@@ -22,6 +23,7 @@ mod limit;
 mod mesh;
 mod mls;
 mod normals;
+mod partition;
 mod plane;
 mod poisson_disk;
 mod random;
@@ -37,6 +39,7 @@ pub use mesh::{Mesh, MeshError};
 pub use mls::project_to_surface;
 pub use normals::estimate_normals;
 pub use normals::normal;
+pub use partition::{NoPartition, Partition, Split};
 pub use plane::{Plane, quadratic_residual};
 pub use poisson_disk::poisson_disk;
 pub use random::Rng;

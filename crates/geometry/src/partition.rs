@@ -1,0 +1,299 @@
+//! Space cut into boxes of about as many points each.
+
+use densecloud_cloud::Position;
+
+/// Boxes that fill space without overlap: the leaves of a k-d tree, whose cells have as many points of a sample each as can
+/// be. Outer boxes reach to infinity.
+///
+/// What belongs where depends on the [`splits`](Self::splits) alone, so whoever has them decides alike.
+///
+/// ```
+/// use densecloud_geometry::Partition;
+///
+/// let line: Vec<_> = (0..100).map(|i| [f64::from(i), 0.0, 0.0]).collect();
+/// let partition = Partition::cut(line, 4);
+/// assert_eq!([0.0, 30.0, 60.0, 1e9].map(|x| partition.cell_of([x, 0.0, 0.0])), [0, 1, 2, 3]);
+/// ```
+#[derive(Debug, Clone, PartialEq)]
+pub struct Partition {
+    splits: Vec<Split>,
+    boxes: Vec<[Position; 2]>,
+}
+
+/// One node of the tree, in preorder: a node, all of its lower half, then all of its upper half.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Split {
+    /// Points whose coordinate on that axis is below `at` are in the lower half.
+    At {
+        /// 0, 1 or 2.
+        axis: u8,
+        /// A finite coordinate.
+        at: f64,
+        /// Where the node of the upper half is.
+        upper: u32,
+    },
+    /// A box with its number; these ascend from 0.
+    Cell(u32),
+}
+
+/// Why splits are those of no partition.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error("the splits are those of no partition")]
+pub struct NoPartition;
+
+impl Partition {
+    /// Cuts space into `cells` boxes (1 at least) by a sample of finite positions: along the longest side of what is in a
+    /// box, so that both halves have points in proportion to the cells that they become. Where points coincide there are
+    /// fewer boxes. O(n log cells).
+    #[must_use]
+    pub fn cut(mut sample: Vec<Position>, cells: usize) -> Self {
+        let mut splits = Vec::new();
+        let mut count = 0;
+        split(&mut sample, cells.max(1), &mut splits, &mut count);
+        Self::of(splits)
+    }
+
+    /// The partition that has these splits.
+    ///
+    /// # Errors
+    /// They are those of none.
+    pub fn from_splits(splits: Vec<Split>) -> Result<Self, NoPartition> {
+        let (mut cells, mut end) = (0, 0);
+        check(&splits, &mut end, &mut cells)?;
+        if end == splits.len() { Ok(Self::of(splits)) } else { Err(NoPartition) }
+    }
+
+    fn of(splits: Vec<Split>) -> Self {
+        let mut boxes = Vec::new();
+        find_boxes(&splits, 0, [[f64::NEG_INFINITY; 3], [f64::INFINITY; 3]], &mut boxes);
+        Self { splits, boxes }
+    }
+
+    /// All nodes: [`Partition::from_splits`] makes the same partition of them.
+    #[must_use]
+    pub fn splits(&self) -> &[Split] {
+        &self.splits
+    }
+
+    /// How many boxes there are.
+    #[must_use]
+    #[expect(clippy::len_without_is_empty, reason = "there is always one")]
+    pub fn len(&self) -> usize {
+        self.boxes.len()
+    }
+
+    /// The lowest and the highest corner of a box.
+    ///
+    /// # Panics
+    /// There is no such box.
+    #[must_use]
+    pub fn bounds(&self, cell: u32) -> [Position; 2] {
+        self.boxes[cell as usize]
+    }
+
+    /// The box that a position is in; its coordinates must not be NaN.
+    #[must_use]
+    pub fn cell_of(&self, p: Position) -> u32 {
+        let mut node = 0;
+        loop {
+            match self.splits[node] {
+                Split::Cell(cell) => return cell,
+                Split::At { axis, at, .. } if p[usize::from(axis)] < at => node += 1,
+                Split::At { upper, .. } => node = upper as usize,
+            }
+        }
+    }
+
+    /// How far a position is from a box; 0 inside.
+    ///
+    /// # Panics
+    /// There is no such box.
+    #[must_use]
+    pub fn distance(&self, cell: u32, p: Position) -> f64 {
+        let [lo, hi] = self.bounds(cell);
+        let off = |a: usize| (lo[a] - p[a]).max(p[a] - hi[a]).max(0.0);
+        (0..3).map(|a| off(a).powi(2)).sum::<f64>().sqrt()
+    }
+
+    /// How far a position is from the nearest face of the box that it is in; infinite where there is one box alone.
+    #[must_use]
+    pub fn border_distance(&self, p: Position) -> f64 {
+        let [lo, hi] = self.bounds(self.cell_of(p));
+        (0..3).map(|a| (p[a] - lo[a]).min(hi[a] - p[a])).fold(f64::INFINITY, f64::min)
+    }
+
+    /// Replaces `found` by the boxes that are no further than `reach` from a position, ascending; that which it is in is
+    /// among them.
+    pub fn near(&self, p: Position, reach: f64, found: &mut Vec<u32>) {
+        found.clear();
+        let mut open = vec![0];
+        while let Some(node) = open.pop() {
+            match self.splits[node] {
+                Split::Cell(cell) if self.distance(cell, p) <= reach => found.push(cell),
+                Split::Cell(_) => {}
+                Split::At { axis, at, upper } => {
+                    let past = p[usize::from(axis)] - at;
+                    if past >= -reach {
+                        open.push(upper as usize);
+                    }
+                    if past < 0.0 || past <= reach {
+                        open.push(node + 1);
+                    }
+                }
+            }
+        }
+    }
+}
+
+fn split(points: &mut [Position], cells: usize, splits: &mut Vec<Split>, count: &mut u32) {
+    if let Some((axis, at, lower)) = (cells > 1).then(|| halves(points, cells)).flatten() {
+        let node = splits.len();
+        splits.push(Split::Cell(0));
+        let (below, above) = points.split_at_mut(lower);
+        split(below, cells / 2, splits, count);
+        splits[node] = Split::At { axis: axis as u8, at, upper: splits.len() as u32 };
+        split(above, cells - cells / 2, splits, count);
+        return;
+    }
+    splits.push(Split::Cell(*count));
+    *count += 1;
+}
+
+/// Sorts the points into those below a plane and the others: the axis, where the plane is, and how many are below. None
+/// where all points are the same.
+fn halves(points: &mut [Position], cells: usize) -> Option<(usize, f64, usize)> {
+    let side = |a: usize| {
+        let of = |f: fn(f64, f64) -> f64, start| points.iter().map(|p| p[a]).fold(start, f);
+        (of(f64::max, f64::NEG_INFINITY) - of(f64::min, f64::INFINITY)).max(0.0)
+    };
+    let sides = [side(0), side(1), side(2)];
+    let axis = (1..3).fold(0, |best, a| if sides[a] > sides[best] { a } else { best });
+    if points.len() < 2 || sides[axis] <= 0.0 {
+        return None;
+    }
+    let middle = (points.len() * (cells / 2) / cells).clamp(1, points.len() - 1);
+    points.select_nth_unstable_by(middle, |p, q| p[axis].total_cmp(&q[axis]));
+    let mut at = points[middle][axis];
+    let lowest = points.iter().map(|p| p[axis]).fold(f64::INFINITY, f64::min);
+    if at <= lowest {
+        // Half of them have the lowest coordinate: all others are above.
+        at = points.iter().map(|p| p[axis]).filter(|c| *c > lowest).fold(f64::INFINITY, f64::min);
+    }
+    points.sort_unstable_by(|p, q| (p[axis] >= at).cmp(&(q[axis] >= at)).then(p[axis].total_cmp(&q[axis])));
+    Some((axis, at, points.partition_point(|p| p[axis] < at)))
+}
+
+/// Walks over one node and all below it, from `at` on.
+fn check(splits: &[Split], at: &mut usize, cells: &mut u32) -> Result<(), NoPartition> {
+    let node = *splits.get(*at).ok_or(NoPartition)?;
+    *at += 1;
+    match node {
+        Split::Cell(cell) if cell == *cells => *cells += 1,
+        Split::At { axis: 0..=2, at: coordinate, upper } if coordinate.is_finite() => {
+            check(splits, at, cells)?;
+            if *at != upper as usize {
+                return Err(NoPartition);
+            }
+            check(splits, at, cells)?;
+        }
+        _ => return Err(NoPartition),
+    }
+    Ok(())
+}
+
+/// The box of each cell below a node, which is that `within`.
+fn find_boxes(splits: &[Split], node: usize, within: [Position; 2], boxes: &mut Vec<[Position; 2]>) {
+    match splits[node] {
+        Split::Cell(_) => boxes.push(within),
+        Split::At { axis, at, upper } => {
+            let (mut lower, mut higher) = (within, within);
+            lower[1][usize::from(axis)] = at;
+            higher[0][usize::from(axis)] = at;
+            find_boxes(splits, node + 1, lower, boxes);
+            find_boxes(splits, upper as usize, higher, boxes);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Rng;
+    use proptest::prelude::*;
+
+    fn random(n: usize, seed: u64, round: bool) -> Vec<Position> {
+        let mut rng = Rng::new(seed);
+        let mut number = || if round { (4.0 * rng.f64()).floor() } else { 1e6 + 100.0 * rng.f64() };
+        (0..n).map(|_| [number(), number(), number()]).collect()
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(64))]
+        #[test]
+        fn what_is_near_is_what_all_boxes_say(
+            seed in any::<u64>(), n in 1_usize..200, cells in 1_usize..20, round in any::<bool>(), reach in 0.0_f64..60.0,
+        ) {
+            let partition = Partition::cut(random(n, seed, round), cells);
+            prop_assert!((1..=cells).contains(&partition.len()));
+            prop_assert_eq!(Partition::from_splits(partition.splits().to_vec()), Ok(partition.clone()));
+            let all = 0..partition.len() as u32;
+            for p in random(50, seed ^ 1, round) {
+                let inside: Vec<u32> = all.clone()
+                    .filter(|&c| {
+                        let [lo, hi] = partition.bounds(c);
+                        (0..3).all(|a| lo[a] <= p[a] && p[a] < hi[a])
+                    })
+                    .collect();
+                prop_assert_eq!(&inside, &[partition.cell_of(p)]);
+                let mut found = Vec::new();
+                partition.near(p, reach, &mut found);
+                let near: Vec<u32> = all.clone().filter(|&c| partition.distance(c, p) <= reach).collect();
+                prop_assert_eq!(&found, &near);
+                // Whatever box is beside it begins at the nearest face.
+                let border = partition.border_distance(p);
+                let others = all.clone().filter(|&c| c != inside[0]).map(|c| partition.distance(c, p));
+                prop_assert!(others.fold(f64::INFINITY, f64::min) >= border);
+            }
+        }
+    }
+
+    #[test]
+    fn boxes_have_as_many_points_each() {
+        for cells in [1, 2, 3, 7, 60] {
+            let points = random(6000, 3, false);
+            let partition = Partition::cut(points.clone(), cells);
+            let mut counts = vec![0_usize; partition.len()];
+            points.iter().for_each(|p| counts[partition.cell_of(*p) as usize] += 1);
+            let even = 6000 / cells;
+            assert!(counts.len() == cells && counts.iter().all(|c| c.abs_diff(even) <= 8), "{counts:?}");
+        }
+    }
+
+    #[test]
+    fn points_that_coincide_share_a_box() {
+        assert_eq!(Partition::cut(vec![[1.0; 3]; 100], 8).len(), 1);
+        assert_eq!(Partition::cut(Vec::new(), 8).len(), 1);
+        let mut points = vec![[1.0; 3]; 100];
+        points.push([2.0, 1.0, 1.0]);
+        assert_eq!(Partition::cut(points, 8).len(), 2);
+    }
+
+    #[test]
+    fn splits_of_no_partition_are_refused() {
+        let cell = Split::Cell;
+        let at = |upper| Split::At { axis: 0, at: 0.0, upper };
+        for splits in [
+            vec![],
+            vec![cell(1)],
+            vec![cell(0), cell(1)],
+            vec![at(2), cell(0)],
+            vec![at(1), cell(0), cell(1)],
+            vec![at(2), cell(1), cell(0)],
+            vec![Split::At { axis: 3, at: 0.0, upper: 2 }, cell(0), cell(1)],
+            vec![Split::At { axis: 0, at: f64::NAN, upper: 2 }, cell(0), cell(1)],
+        ] {
+            assert_eq!(Partition::from_splits(splits.clone()), Err(NoPartition), "{splits:?}");
+        }
+        assert!(Partition::from_splits(vec![at(2), cell(0), cell(1)]).is_ok());
+    }
+}
