@@ -32,7 +32,7 @@ mod surface_distance;
 mod uniform;
 
 pub use cells::{Reach, cell_area, one_sided};
-pub use farthest::{farthest_point_sampling, scaled_farthest_point_sampling};
+pub use farthest::{farthest_point_sampling, farthest_point_sampling_beside, scaled_farthest_point_sampling};
 pub use kdtree::{KdTree, Neighbour, Walk};
 pub use limit::{MAX_POINTS, TooManyPoints, check_count, indices};
 pub use mesh::{Mesh, MeshError};

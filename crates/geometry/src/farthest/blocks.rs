@@ -11,7 +11,7 @@
 
 use rayon::prelude::*;
 
-use super::{Item, Key, Node, Tree};
+use super::{First, Item, Key, NONE, Node, Tree};
 use crate::kdtree::squared;
 use densecloud_cloud::Point;
 
@@ -24,7 +24,13 @@ const TURN: f32 = 0.9;
 const ANEW: f32 = 0.5;
 
 /// As [`super::sample`], by blocks of at most `size` points.
-pub(super) fn sample(points: &[Point], weights: &[f32], count: usize, first: u32, size: usize) -> Vec<u32> {
+pub(super) fn sample(
+    points: &[Point],
+    weights: &[f32],
+    count: usize,
+    first: First<'_>,
+    size: usize,
+) -> Vec<u32> {
     let mut items: Vec<Item> = points.iter().copied().zip(0..).collect();
     let mut cells = Vec::new();
     split(&mut items, size, &mut cells);
@@ -33,8 +39,17 @@ pub(super) fn sample(points: &[Point], weights: &[f32], count: usize, first: u32
     let mut blocks =
         Blocks { beside: vec![Vec::new(); trees.len()], trees: trees.into_iter().map(Some).collect() };
 
-    let mut chosen = vec![first];
-    blocks.take_note(&[(points[first as usize], first)]);
+    let mut chosen = Vec::new();
+    match first {
+        First::Point(first) => {
+            chosen.push(first);
+            blocks.take_note(&[(points[first as usize], first)]);
+        }
+        First::Beside(beside) => {
+            let items: Vec<Item> = beside.iter().map(|q| (*q, NONE)).collect();
+            blocks.trees.par_iter_mut().flatten().for_each(|tree| tree.take_note(&items));
+        }
+    }
     while chosen.len() < count.min(ALONE * blocks.trees.len()) {
         let next = blocks.top().index();
         chosen.push(next);

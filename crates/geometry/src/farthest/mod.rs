@@ -15,6 +15,8 @@ const BLOCK: usize = 1 << 13;
 const BLOCKS_FROM: usize = 1 << 17;
 /// The distance of a point that has been chosen: below every real one.
 const CHOSEN: f32 = -1.0;
+/// The index of what is none of the points.
+const NONE: u32 = u32::MAX;
 
 /// Indices of `count` points, spread as evenly as can be: the first is `first` (clamped to the
 /// last point), and each next one is the point farthest from all those before, ties by the
@@ -73,13 +75,52 @@ pub fn scaled_farthest_point_sampling(
     sample(points, &weights, count, first)
 }
 
+/// As [`scaled_farthest_point_sampling`], beside points that are chosen already: the first is the point farthest from all of
+/// `beside`, which are none of `points`; where these are none, the one of index 0. Fastest when those points come in no
+/// particular order.
+///
+/// # Panics
+/// As [`scaled_farthest_point_sampling`].
+///
+/// ```
+/// use densecloud_geometry::farthest_point_sampling_beside;
+///
+/// let line: Vec<_> = (0..9).map(|i| [i as f32, 0.0, 0.0]).collect();
+/// assert_eq!(farthest_point_sampling_beside(&line, &[1.0; 9], 3, &[[-1.0, 0.0, 0.0]]), [8, 3, 5]);
+/// ```
+#[must_use]
+pub fn farthest_point_sampling_beside(
+    points: &[Point],
+    spacing: &[f32],
+    count: usize,
+    beside: &[Point],
+) -> Vec<u32> {
+    assert_eq!(points.len(), spacing.len(), "one spacing a point");
+    let weights: Vec<f32> = spacing.iter().map(|s| 1.0 / (s * s)).collect();
+    let first = if beside.is_empty() { First::Point(0) } else { First::Beside(beside) };
+    start(points, &weights, count, first)
+}
+
+/// What a sampling starts with.
+#[derive(Clone, Copy)]
+enum First<'a> {
+    /// One of its points.
+    Point(u32),
+    /// Points that are none of its own, of which there is one at least.
+    Beside(&'a [Point]),
+}
+
 /// Squared distances to a point count as its `weights` say.
 fn sample(points: &[Point], weights: &[f32], count: usize, first: usize) -> Vec<u32> {
-    let count = count.min(points.len());
+    let first = first.min(indices(points.len()).len().saturating_sub(1)) as u32;
+    start(points, weights, count, First::Point(first))
+}
+
+fn start(points: &[Point], weights: &[f32], count: usize, first: First<'_>) -> Vec<u32> {
+    let count = count.min(indices(points.len()).len());
     if count == 0 {
         return Vec::new();
     }
-    let first = first.min(indices(points.len()).len() - 1) as u32;
     if points.len() > BLOCKS_FROM {
         return blocks::sample(points, weights, count, first, BLOCK);
     }
@@ -87,10 +128,16 @@ fn sample(points: &[Point], weights: &[f32], count: usize, first: usize) -> Vec<
 }
 
 /// One point after the other, on one thread.
-fn in_turn(points: &[Point], weights: &[f32], count: usize, first: u32) -> Vec<u32> {
+fn in_turn(points: &[Point], weights: &[f32], count: usize, first: First<'_>) -> Vec<u32> {
     let mut chosen = Vec::with_capacity(count);
     let mut tree = Tree::new(points, weights);
-    let mut next = first;
+    let mut next = match first {
+        First::Point(first) => first,
+        First::Beside(beside) => {
+            beside.iter().for_each(|q| tree.choose(*q, NONE));
+            tree.nodes[0].key.index()
+        }
+    };
     loop {
         chosen.push(next);
         if chosen.len() == count {
@@ -285,7 +332,7 @@ fn bucket(items: &[Item], weights: &[f32]) -> Bucket {
         z: [0.0; BUCKET],
         weight: [0.0; BUCKET],
         distance: [CHOSEN; BUCKET],
-        index: [u32::MAX; BUCKET],
+        index: [NONE; BUCKET],
     };
     for (place, &([x, y, z], index)) in items.iter().enumerate() {
         (bucket.x[place], bucket.y[place], bucket.z[place]) = (x, y, z);
@@ -302,15 +349,33 @@ mod tests {
     use proptest::prelude::*;
 
     fn plain(points: &[Point], weights: &[f32], count: usize, first: usize) -> Vec<u32> {
+        plain_beside(points, weights, count, first, &[])
+    }
+
+    fn plain_beside(
+        points: &[Point],
+        weights: &[f32],
+        count: usize,
+        first: usize,
+        beside: &[Point],
+    ) -> Vec<u32> {
         let count = count.min(points.len());
-        let mut nearest = vec![f32::INFINITY; points.len()];
+        let to = |p: &Point, q: &Point| squared([p[0] - q[0], p[1] - q[1], p[2] - q[2]]);
+        let nearest = |(p, weight): (&Point, &f32)| {
+            beside.iter().map(|q| to(p, q) * weight).fold(f32::INFINITY, f32::min)
+        };
+        let mut nearest: Vec<f32> = points.iter().zip(weights).map(nearest).collect();
         let mut chosen = Vec::new();
-        let mut next = first.min(points.len().saturating_sub(1));
+        let farthest = |a: usize, b: usize| if nearest[b] > nearest[a] { b } else { a };
+        let mut next = match beside {
+            [] => first.min(points.len().saturating_sub(1)),
+            _ => (0..points.len()).fold(0, farthest),
+        };
         while chosen.len() < count {
             chosen.push(next as u32);
             let q = points[next];
             for ((d, p), weight) in nearest.iter_mut().zip(points).zip(weights) {
-                *d = d.min(squared([p[0] - q[0], p[1] - q[1], p[2] - q[2]]) * weight);
+                *d = d.min(to(p, &q) * weight);
             }
             let mut best: Option<usize> = None;
             for i in (0..points.len()).filter(|&i| !chosen.contains(&(i as u32))) {
@@ -353,6 +418,11 @@ mod tests {
                 prop_assert_eq!(&scaled_farthest_point_sampling(&points, spacing, count, first), &wanted);
                 if n > 0 && count > 0 {
                     let first = first.min(n - 1) as u32;
+                    prop_assert_eq!(&blocks::sample(&points, weights, count.min(n), First::Point(first), 20), &wanted);
+                    let others: Vec<Point> = (0..1 + n / 8).map(|_| std::array::from_fn(|_| rng.f64() as f32)).collect();
+                    let wanted = plain_beside(&points, weights, count, 0, &others);
+                    prop_assert_eq!(&farthest_point_sampling_beside(&points, spacing, count, &others), &wanted);
+                    let first = First::Beside(&others);
                     prop_assert_eq!(&blocks::sample(&points, weights, count.min(n), first, 20), &wanted);
                 }
             }
@@ -368,11 +438,12 @@ mod tests {
         for (weights, count) in
             [(&weights, 1000), (&vec![1.0; 40_000], 15_000), (&weights, 15_000), (&weights, 40_000)]
         {
-            let wanted = in_turn(&points, weights, count, 7);
+            let first = First::Point(7);
+            let wanted = in_turn(&points, weights, count, first);
             for threads in [1, 3] {
                 let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
                 assert!(
-                    pool.install(|| blocks::sample(&points, weights, count, 7, 3000)) == wanted,
+                    pool.install(|| blocks::sample(&points, weights, count, first, 3000)) == wanted,
                     "{count} points"
                 );
             }
