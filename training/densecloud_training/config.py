@@ -41,6 +41,16 @@ class Data:
     reference_extra: int = 0
     seed_pull: float = 1.0
     coverage: float = 1e9
+    level_noise: float = 0.0
+    seed_jitter: float = 0.0
+    holes_share: float = 0.0
+    holes_most: float = 0.2
+    cut_share: float = 0.0
+    thin_share: float = 0.0
+    quantised_share: float = 0.0
+    quantised_most: float = 0.1
+    outlier_share: float = 0.0
+    outlier_most: float = 0.03
 
 
 @dataclass
@@ -103,16 +113,35 @@ class Config:
 
 def load(path: Path) -> Config:
     """Reads a config by path, or by name from the package's `configs/`."""
-    if not path.exists():
-        own = sorted(file.stem for file in CONFIGS.glob("*.toml"))
-        if str(path) not in own:
-            raise InputError(f"--config {path} is no file, nor one of the package's own: {', '.join(own)}")
-        path = CONFIGS / f"{path}.toml"
     try:
-        with open(path, "rb") as file:
-            return from_dict(tomllib.load(file))
+        return from_dict(read(path))
     except (tomllib.TOMLDecodeError, TypeError) as error:
         raise InputError(f"{path}: not a config: {error}") from error
+
+
+def read(path: Path) -> dict:
+    """The values of a config; what it leaves out comes from the one that its `base` names."""
+    with open(found(path), "rb") as file:
+        values = tomllib.load(file)
+    if "base" not in values:
+        return values
+    base = read(Path(values.pop("base")))
+    return {**base, **{name: filled(base.get(name), value) for name, value in values.items()}}
+
+
+def found(path: Path) -> Path:
+    """A config's file, given itself or as a name of the package's own."""
+    if path.exists():
+        return path
+    own = sorted(file.stem for file in CONFIGS.glob("*.toml"))
+    if str(path) not in own:
+        raise InputError(f"--config {path} is no file, nor one of the package's own: {', '.join(own)}")
+    return CONFIGS / f"{path}.toml"
+
+
+def filled(base: object, value: object) -> object:
+    """A table with what it leaves out of `base`; anything else as it is, inner tables too."""
+    return {**base, **value} if isinstance(base, dict) and isinstance(value, dict) else value
 
 
 def from_dict(values: dict) -> Config:

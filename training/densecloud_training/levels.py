@@ -5,6 +5,7 @@ from typing import Callable, NamedTuple, Optional, Sequence
 import torch
 
 from .config import Data
+from .faults import noised
 from .loss import nearest_distances
 from .network import SKIP_NEIGHBOURS, Previous, normalise
 from .patches import Batch, nearest_of_seed
@@ -27,13 +28,13 @@ def run_levels(steps: Sequence[Step], batch: Batch, data: Data, frozen: int = 0)
     """Runs `steps` one after the other; the first `frozen` of them without gradient.
 
     Each next patch: a random predicted point is the seed (moved towards the middle as `data.seed_pull` says), the input
-    is its N nearest predictions, and the reference halves around it.
+    is its N nearest predictions, with noise of up to `data.level_noise` radii, and the reference halves around it.
     """
     points, reference = batch.points, batch.reference
     seed = torch.zeros_like(points[:, :1])
     input_radius, reference_radius = batch.input_radius, batch.reference_radius
     crops = [(seed, input_radius, reference_radius)]
-    previous = None
+    previous, strays = None, batch.strays
     for level, step in enumerate(steps, start=1):
         with torch.set_grad_enabled(torch.is_grad_enabled() and level > frozen):
             normal, frame = normalise(points)
@@ -46,7 +47,13 @@ def run_levels(steps: Sequence[Step], batch: Batch, data: Data, frozen: int = 0)
             seed = next_seed(dense, data.seed_pull)
         # Neighbours are chosen without gradient; the coordinates that they select keep theirs.
         distances = (dense.detach() - seed).square().sum(-1)
-        following, input_radius = nearest_of_seed(distances, dense, patch)
+        # What a stray becomes stays one.
+        marked = dense if strays is None else torch.cat([dense, strays.to(dense).repeat(1, 2).unsqueeze(-1)], -1)
+        following, input_radius = nearest_of_seed(distances, marked, patch)
+        if strays is not None:
+            following, strays = following[..., :3], following[..., 3] > 0.5
+        if data.level_noise:
+            following = noised(following, input_radius.unsqueeze(-1), data.noise_share, data.level_noise, 1.0)
         if features is not None:
             previous = nearest_previous(following, points, features)
         wanted = batch.reference.shape[1] >> level
@@ -56,6 +63,8 @@ def run_levels(steps: Sequence[Step], batch: Batch, data: Data, frozen: int = 0)
     with torch.no_grad():
         # By the point that a prediction came from: one that strays outwards must not escape its loss by straying.
         inside = torch.stack([(points - s).norm(dim=-1) <= reach for s, _, reach in crops]).all(0)
+        if strays is not None:
+            inside &= ~strays
         prediction_inside = torch.cat([inside, inside], dim=1)
         reference_inside = torch.stack([(reference - s).norm(dim=-1) <= radius for s, radius, _ in crops]).all(0)
         # Where the input saw nothing (the far side of a scan), nothing is asked for.

@@ -5,31 +5,32 @@ from the device's own.
 """
 
 import random
-from typing import List, NamedTuple, Protocol
+from typing import NamedTuple, Optional, Protocol, Tuple
 
 import torch
 
 from .clouds import Clouds, level_size
 from .config import Data
+from .faults import noised, outliers, quantised, without_holes
+from .sampling import FAR, KINDS, directions, random_rotations
+from .thin import ThinPlaces
 
-# A depth image around the seed: this many pixels a side, and a patch radius. A patch of even points has about 10 points
-# a radius; slopes take some away, so pixels are finer.
-SCAN_GRID = 104
-SCAN_PIXELS_PER_RADIUS = 13
-FAR = 1e9
+# How far from its seed a patch may be cut, in patch radii.
+MOST_CUT_AT = 0.7
 
 
 class Batch(NamedTuple):
     """Patches in the frame of their seed: radius about 1, seed at the origin.
 
     points [B,N,3]; reference [B,R,3] clean, the nearest ones of the seed; input_radius, reference_radius [B,1]: how far
-    the crops reach.
+    the crops reach. strays [B,N]: input points that lie on no surface, so that nothing is asked of what they become.
     """
 
     points: torch.Tensor
     reference: torch.Tensor
     input_radius: torch.Tensor
     reference_radius: torch.Tensor
+    strays: Optional[torch.Tensor] = None
 
 
 class Source(Protocol):
@@ -40,10 +41,16 @@ class Source(Protocol):
 
 
 def nearest_of_seed(distances: torch.Tensor, cloud: torch.Tensor, count: int):
-    """The `count` points of each item nearest to its seed, and the radius [B,1] they reach. distances [B,D] squared."""
+    """The `count` points of each item nearest to its seed, with all of their columns, and the radius [B,1] they reach.
+    distances [B,D] squared."""
     values, indices = distances.topk(min(count, distances.shape[1]), dim=1, largest=False, sorted=False)
-    points = cloud.gather(1, indices.unsqueeze(-1).expand(-1, -1, 3))
+    points = cloud.gather(1, indices.unsqueeze(-1).expand(-1, -1, cloud.shape[-1]))
     return points, values.max(1, keepdim=True)[0].sqrt()
+
+
+def distances_of(cloud: torch.Tensor, seeds: torch.Tensor, kept: torch.Tensor) -> torch.Tensor:
+    """[B,D]: squared distances of points [B,D,3] to the seeds [B,1,3]; FAR where a point is not kept."""
+    return (cloud - seeds).square().sum(-1).masked_fill(~kept, FAR)
 
 
 class PatchSource:
@@ -51,6 +58,7 @@ class PatchSource:
 
     def __init__(self, clouds: Clouds, data: Data, patch: int, host: random.Random):
         self.clouds, self.data, self.patch, self.host = clouds, data, patch, host
+        self.thin = ThinPlaces(clouds, len(data.windows)) if data.thin_share else None
 
     def draw(self, levels: int, batch: int) -> Batch:
         """Pairs for 2^levels times as many points."""
@@ -59,33 +67,75 @@ class PatchSource:
         window = self.host.choices(range(len(windows)), windows)[0]
         kinds = self.host.choices(list(self.data.kinds), list(self.data.kinds.values()), k=batch)
         groups = [self.group(kind, kinds.count(kind), window, levels) for kind in self.data.kinds if kind in kinds]
-        return self.augment(Batch(*(torch.cat(parts) for parts in zip(*groups))))
+        return self.augment(Batch(*(torch.cat(parts) for parts in zip(*(group[:4] for group in groups)))))
 
     def group(self, kind: str, count: int, window: int, levels: int) -> Batch:
         """`count` patches whose input is sampled in one way, in their seed's frame, without augmentation."""
-        clouds = self.clouds
-        shapes = torch.multinomial(clouds.weights, count, replacement=True)
         source_level = window if kind == "poisson" else self.dense_level(window, levels)
-        source = clouds.levels[source_level][shapes]
-        picks = torch.randint(source.shape[1], (count, 1, 1), device=source.device)
-        seeds = source.gather(1, picks.expand(-1, -1, 3))
-        offsets = source - seeds
-        distances = offsets.square().sum(-1)
-        if kind != "poisson":
-            share = level_size(window) / level_size(source_level)
-            radius = clouds.spread[shapes].view(-1, 1, 1) * (self.patch / level_size(window)) ** 0.5
-            distances = distances.masked_fill(~KINDS[kind](offsets / radius, share), FAR)
-            # The seed is a point of the input, as at inference.
-            nearest = distances.argmin(1).view(-1, 1, 1).expand(-1, -1, 3)
-            kept, seeds = distances < FAR, source.gather(1, nearest)
-            distances = (source - seeds).square().sum(-1).masked_fill(~kept, FAR)
-        points, radius = nearest_of_seed(distances, source, self.patch)
         reference_level = self.reference_level(window, levels)
-        dense = clouds.levels[reference_level][shapes]
+        shapes, seeds = self.places(count, window, source_level)
+        source, dense = (self.clouds.levels[level][shapes] for level in (source_level, reference_level))
+        radius = self.clouds.spread[shapes].view(-1, 1, 1) * (self.patch / level_size(window)) ** 0.5
         wanted = int(self.patch * 2 ** (reference_level - window) * self.data.reference_margin)
-        reference, reach = nearest_of_seed((dense - seeds).square().sum(-1), dense, wanted)
-        scale = radius.unsqueeze(-1)
-        return Batch((points - seeds) / scale, (reference - seeds) / scale, torch.ones_like(radius), reach / radius)
+        offsets = (source - seeds) / radius
+        kept = self.seen(kind, offsets, 2 ** (source_level - window))
+        there = self.cut(kept, offsets, (dense - seeds) / radius, wanted)
+        centres = self.centres(source, offsets, kept, radius)
+        points, reached = nearest_of_seed(distances_of(source, centres, kept), source, self.patch)
+        reference, reach = nearest_of_seed(distances_of(dense, centres, there), dense, wanted)
+        scale = reached.unsqueeze(-1)
+        ones = torch.ones_like(reached)
+        return Batch((points - centres) / scale, (reference - centres) / scale, ones, reach / reached)
+
+    def places(self, count: int, window: int, level: int) -> Tuple[torch.Tensor, torch.Tensor]:
+        """The shapes [count] that patches are drawn from, and where on them [count,1,3]."""
+        clouds = self.clouds.levels[level]
+        shapes = torch.multinomial(self.clouds.weights, count, replacement=True)
+        picks = torch.randint(clouds.shape[1], (count,), device=shapes.device)
+        seeds = clouds[shapes, picks]
+        rows = self.some(self.data.thin_share, count)
+        if len(rows):
+            shapes[rows], seeds[rows] = self.thin.draw(window, len(rows))
+        return shapes, seeds.unsqueeze(1)
+
+    def seen(self, kind: str, offsets: torch.Tensor, every: int) -> torch.Tensor:
+        """A mask [B,D] of the points that are the input, about one in `every`. offsets [B,D,3] in patch radii."""
+        count, points = offsets.shape[:2]
+        # Where a sensor would have seen too few points for a patch: as many, from everywhere.
+        spare = (torch.arange(points, device=offsets.device) % every == 0).expand(count, -1)
+        kept = spare.clone() if kind == "poisson" else KINDS[kind](offsets, 1 / every)
+        without_holes(kept, offsets, self.some(self.data.holes_share, count), self.data.holes_most)
+        return torch.where((kept.sum(1) >= self.patch).unsqueeze(1), kept, spare)
+
+    def cut(self, kept: torch.Tensor, offsets: torch.Tensor, dense: torch.Tensor, wanted: int) -> torch.Tensor:
+        """Ends the surface of some patches, input and reference, at a plane beside the seed: an open border. Takes it
+        out of `kept` [B,D]; returns a mask [B,R] of what is left of the reference."""
+        left = torch.ones(dense.shape[:2], dtype=torch.bool, device=kept.device)
+        rows = self.some(self.data.cut_share, len(kept))
+        if len(rows):
+            normal = directions(len(rows), kept.device)
+            limit = MOST_CUT_AT * torch.rand(len(rows), 1, device=kept.device)
+            here = kept[rows] & ((offsets[rows] @ normal).squeeze(-1) <= limit)
+            there = (dense[rows] @ normal).squeeze(-1) <= limit
+            # Too little may be left of a small shape; then it stays whole.
+            whole = ((here.sum(1) < self.patch) | (there.sum(1) < wanted)).unsqueeze(1)
+            kept[rows], left[rows] = torch.where(whole, kept[rows], here), there | whole
+        return left
+
+    def centres(
+        self, source: torch.Tensor, offsets: torch.Tensor, kept: torch.Tensor, radius: torch.Tensor
+    ) -> torch.Tensor:
+        """[B,1,3]: the input point nearest to each seed, as at inference, or beside it, as `seed_jitter` says."""
+        nearest = offsets.square().sum(-1).masked_fill(~kept, FAR).argmin(1)
+        centres = source.gather(1, nearest.view(-1, 1, 1).expand(-1, -1, 3))
+        if self.data.seed_jitter:
+            centres = centres + self.data.seed_jitter * radius * torch.randn_like(centres)
+        return centres
+
+    def some(self, share: float, count: int) -> torch.Tensor:
+        """Indices of a random choice among `count` patches, each with the probability `share`."""
+        chosen = sum(self.host.random() < share for _ in range(count)) if share else 0
+        return torch.randperm(count, device=self.clouds.device)[:chosen] if chosen else torch.arange(0)
 
     def dense_level(self, window: int, levels: int) -> int:
         """The ladder level that uneven inputs are thinned from: much denser, and not the reference itself."""
@@ -97,69 +147,17 @@ class PatchSource:
         return min(window + levels + self.data.reference_extra, len(self.clouds.levels) - 1)
 
     def augment(self, batch: Batch) -> Batch:
-        """Rotation, scale, and noise on the input alone."""
-        count, device = len(batch.points), batch.points.device
+        """Rotation, scale, and what a sensor does to the input alone."""
+        count, device, data = len(batch.points), batch.points.device, self.data
         turn = random_rotations(count, device)
-        low, high = self.data.scale
+        low, high = data.scale
         scale = low + (high - low) * torch.rand(count, 1, 1, device=device)
         points, reference = (batch.points @ turn) * scale, (batch.reference @ turn) * scale
-        noisy = torch.rand(count, 1, 1, device=device) < self.data.noise_share
-        sigma = noisy * self.data.noise_most * torch.rand(count, 1, 1, device=device).pow(self.data.noise_power)
-        noise = torch.randn_like(points).clamp_(-3, 3) * sigma * scale
+        points = noised(points, scale, data.noise_share, data.noise_most, data.noise_power)
+        if data.quantised_share:
+            points = quantised(points, scale, data.quantised_share, data.quantised_most)
+        strays = None
+        if data.outlier_share:
+            points, strays = outliers(points, scale, data.outlier_share, data.outlier_most)
         flat = scale.squeeze(-1)
-        return Batch(points + noise, reference, batch.input_radius * flat, batch.reference_radius * flat)
-
-
-def random_rotations(count: int, device: torch.device) -> torch.Tensor:
-    """[count,3,3], uniform over rotations (from uniform unit quaternions)."""
-    w, x, y, z = torch.nn.functional.normalize(torch.randn(count, 4, device=device), dim=1).unbind(1)
-    rows: List[torch.Tensor] = [
-        1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
-        2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
-        2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
-    ]  # fmt: skip
-    return torch.stack(rows, 1).view(count, 3, 3)
-
-
-def directions(count: int, device: torch.device) -> torch.Tensor:
-    """[count,3,1] random unit vectors."""
-    return torch.nn.functional.normalize(torch.randn(count, 3, 1, device=device), dim=1)
-
-
-def thin_random(offsets: torch.Tensor, share: float) -> torch.Tensor:
-    """Uniform random sampling: every point is kept with the same probability. offsets [B,D,3] in patch radii."""
-    return torch.rand(offsets.shape[:2], device=offsets.device) < share
-
-
-def thin_ramp(offsets: torch.Tensor, share: float) -> torch.Tensor:
-    """Density rises along a random direction, by up to e^2.4 across a patch."""
-    count, device = len(offsets), offsets.device
-    slope = 1.2 * torch.rand(count, 1, device=device)
-    along = (offsets @ directions(count, device)).squeeze(-1).clamp(-1.5, 1.5)
-    return torch.rand(along.shape, device=device) < share * torch.exp(slope * along)
-
-
-def thin_stripes(offsets: torch.Tensor, share: float) -> torch.Tensor:
-    """Scan lines: points lie in parallel sheets, denser along them than across."""
-    count, device = len(offsets), offsets.device
-    spacing = 0.15 + 0.15 * torch.rand(count, 1, device=device)
-    phase = (offsets @ directions(count, device)).squeeze(-1) / spacing + torch.rand(count, 1, device=device)
-    width = 0.25
-    inside = (phase - phase.floor()) < width
-    return inside & (torch.rand(phase.shape, device=device) < share / width)
-
-
-def thin_scan(offsets: torch.Tensor, share: float) -> torch.Tensor:
-    """A single view: of all points behind one pixel only the nearest is seen (slopes get sparse, backs vanish)."""
-    count, device = len(offsets), offsets.device
-    turned = offsets @ random_rotations(count, device)
-    pixels = torch.floor(turned[..., :2] * SCAN_PIXELS_PER_RADIUS).long() + SCAN_GRID // 2
-    inside = ((pixels >= 0) & (pixels < SCAN_GRID)).all(-1)
-    cells = (pixels[..., 0] * SCAN_GRID + pixels[..., 1]).masked_fill(~inside, SCAN_GRID * SCAN_GRID)
-    depth = turned[..., 2]
-    nearest = torch.full((count, SCAN_GRID * SCAN_GRID + 1), -FAR, device=device)
-    nearest = nearest.scatter_reduce(1, cells, depth, reduce="amax", include_self=True)
-    return inside & (depth >= nearest.gather(1, cells))
-
-
-KINDS = {"random": thin_random, "ramp": thin_ramp, "stripes": thin_stripes, "scan": thin_scan}
+        return Batch(points, reference, batch.input_radius * flat, batch.reference_radius * flat, strays)

@@ -8,7 +8,8 @@ import torch
 from scipy.spatial import cKDTree
 
 from .own_scan import OwnScan
-from .patches import Batch, Source, random_rotations
+from .patches import Batch, Source
+from .sampling import random_rotations
 
 # A patch of a scan thinned to 1/2^4 is as far as the cascade's highest ratio reaches.
 DEEPEST = 4

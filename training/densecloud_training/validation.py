@@ -1,6 +1,7 @@
 """Scores on held-out shapes: the same patches for every checkpoint, with rules that learn nothing beside them."""
 
 import random
+from dataclasses import replace
 from functools import cached_property
 from typing import Dict, Iterator, List, Sequence, Tuple
 
@@ -74,10 +75,11 @@ class Validation:
     @torch.no_grad()
     def results(self, steps: Sequence[Step]) -> Iterator[Tuple[str, Result]]:
         """("even 2x", what the steps make of those patches), for each case and each level that the steps reach."""
+        clean = replace(self.config.data, level_noise=0.0)
         for case, batches in self.batches.items():
             for level, batch in enumerate(batches[: len(steps)], start=1):
                 with forked(self.seed + level, batch.points.device):
-                    result = run_levels(steps[:level], batch, self.config.data)
+                    result = run_levels(steps[:level], batch, clean)
                 yield f"{case} {2**level}x", result
 
 

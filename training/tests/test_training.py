@@ -127,6 +127,20 @@ def test_schedules_reach_every_unit():
         assert config.levels == 4 and config.patch == 312 and config.k == {"default": 16, "paper": 32}[name]
 
 
+def test_a_config_takes_from_its_base_what_it_leaves_out(tmp_path):
+    default, second = (configs.load(configs.CONFIGS / f"{name}.toml") for name in ("default", "second"))
+    assert second.stages == default.stages and second.loss == default.loss and second.unit == default.unit
+    assert (second.k, second.patch, second.levels) == (default.k, default.patch, default.levels)
+    assert second.data.coverage == default.data.coverage and second.data.holes_share > default.data.holes_share == 0
+    assert set(second.data.kinds) == {"poisson", *KINDS}
+    (tmp_path / "own.toml").write_text('base = "second"\nseed = 7\n[data]\nkinds = { random = 1.0 }\n')
+    own = configs.load(tmp_path / "own.toml")
+    assert own.seed == 7 and own.extension == second.extension and own.data.kinds == {"random": 1.0}
+    (tmp_path / "own.toml").write_text('base = "third"')
+    with pytest.raises(ValueError, match="third is no file"):
+        configs.load(tmp_path / "own.toml")
+
+
 def test_an_unknown_setting_is_refused():
     with pytest.raises(ValueError, match="unknown settings: bach"):
         configs.from_dict({"bach": 3})
