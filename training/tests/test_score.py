@@ -17,6 +17,7 @@ from densecloud_training.score import (
     peers,
     pictures,
     plane,
+    range_image,
     real,
     report,
     rules,
@@ -391,6 +392,40 @@ def test_midpoints_come_with_the_points_and_once():
     assert len(np.unique(middles, axis=0)) > 3 * len(points)
 
 
+def range_scan(ranges, shift: int = 0) -> tuple:
+    """Points, lines and places of a spinning sensor at (1, 2, 3), 40 lines of 90 places; every second line of the kept
+    ones is shifted by so many places. `ranges` gives the range in a direction."""
+    line, place = (part.ravel() for part in np.meshgrid(np.arange(40), np.arange(90), indexing="ij"))
+    azimuth = np.radians(place + shift * (line // 2 % 2))
+    height = np.radians(line - 60)
+    rays = np.stack([np.cos(azimuth) * np.cos(height), np.sin(azimuth) * np.cos(height), np.sin(height)], 1)
+    return rays * ranges(rays)[:, None] + [1, 2, 3], line, place
+
+
+@pytest.mark.parametrize("shift", [0, 4])
+def test_the_range_image_of_a_floor_gets_its_missing_lines_back(shift):
+    points, line, place = range_scan(lambda rays: -2 / rays[:, 2], shift)
+    kept = real.by_lines(line, place)(points)
+    found = range_image.range_image(points[kept], line[kept], place[kept], np.array([1.0, 2.0, 3.0]))
+    assert 3.6 * len(kept) < len(found) <= 4 * len(kept)
+    assert (found[: len(kept)] == points[kept]).all()
+    assert np.abs(found[:, 2] - 1).max() < 1e-9
+    assert len(np.unique(found.round(9), axis=0)) == len(found)
+    # Lines of the same shift are those that were taken away, but for the bow of a line between its places.
+    if shift == 0:
+        assert np.median(real.cKDTree(points).query(found)[0]) < 1e-3
+
+
+def test_nothing_is_put_where_the_range_jumps():
+    points, line, place = range_scan(lambda rays: np.where(rays[:, 0] > 0.3, 5.0, 6.0))
+    kept = real.by_lines(line, place)(points)
+    sensor = np.array([1.0, 2.0, 3.0])
+    found = range_image.range_image(points[kept], line[kept], place[kept], sensor)
+    ranges = np.linalg.norm(found - sensor, axis=1)
+    assert (np.minimum(np.abs(ranges - 5), np.abs(ranges - 6)) < 0.01).all()
+    assert len(found) > 3 * len(kept)
+
+
 def test_roughness_tells_a_plane_from_a_volume():
     assert real.roughness(real.Truth.of(grid(40))) == (0, 0)
     volume = np.random.default_rng(1).random((4000, 3))
@@ -412,7 +447,12 @@ def test_the_table_of_real_scans_counts_where_the_program_is_ahead():
     ]
     text = real.text(rows, [["a", "1,600", "1", "0.10", "0.0"]])
     assert "| repeated | 1 of 1 | 1.00 | 2.00 |" in text and "| midpoints | 0 of 1 | 1.00 | 0.90 |" in text
-    assert "Thinned at most: 0.50 %" in text
+    assert "Thinned at most: 0.50 %" in text and "| range image | 0 of" not in text
+    rows += [
+        real.Row("a", "lines", method, {**scores, "CDH": cdh})
+        for method, cdh in (("range image", 1.5), ("densecloud", 2.0))
+    ]
+    assert "| range image | 0 of 1 | 2.00 | 1.50 |" in real.text(rows, [])
 
 
 def case(kind: str, name: str, said: np.ndarray, within: np.ndarray, features: np.ndarray) -> confidence.Case:

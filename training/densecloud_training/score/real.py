@@ -14,6 +14,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from .program import Program
+from .range_image import range_image
 from .table import markdown, plain
 
 RATIO = 4
@@ -62,7 +63,9 @@ added. `to 95 %` and `from 95 %`: the 95th percentiles of these. False: share of
 than 1 or 2 spacings, or than its local scale (L). Miss: share of the scan, %, further from the result. Thinned: share \
 of the input's points, %, whose 8th neighbour in the result is further off than their 8th neighbour in the input was. \
 Variation: of the distances to the nearest other, in the local scale. Repeated: the input itself, do nothing. \
-Midpoints: the input, and the middles between each point and its nearest ones. Resampled: as many points as \
+Midpoints: the input, and the middles between each point and its nearest ones. Range image: the input, and what lies \
+between neighbours of the image that the sensor saw, whose ranges differ by no more than a tenth; it knows lines, \
+places and where the sensor stood, and has fewer points than the others. Resampled: as many points as \
 the scan has, on the surface of the *whole* scan, which no method may see: what a surface can reach here.
 """
 
@@ -134,6 +137,13 @@ def midpoints(kept: np.ndarray) -> np.ndarray:
     _, first = np.unique(pairs, axis=0, return_index=True)
     pairs = pairs[np.sort(first)][: len(kept) * (RATIO - 1)]
     return np.concatenate([kept, (kept[pairs[:, 0]] + kept[pairs[:, 1]]) / 2])
+
+
+def along_range_image(scan: Scan, table: Dict[str, np.ndarray]) -> np.ndarray:
+    """The control that knows the sensor. A scan with rows and columns has it at its origin unless it says otherwise."""
+    line, place = (table[name].astype(np.int64) for name in scan.lines or [])
+    points = np.stack([table[axis] for axis in "xyz"], 1)
+    return range_image(points, line, place, np.asarray(scan.sensor or [0, 0, 0], dtype=np.float64))
 
 
 def score(truth: Truth, kept: np.ndarray, result: np.ndarray) -> Dict[str, float]:
@@ -218,6 +228,8 @@ def evaluate(program: Program, folders: List[Path], out: Path, only: List[str]) 
             kept = thin(truth.points)
             source = truth.points[kept]
             results = {"repeated": source, "midpoints": midpoints(source)}
+            if thinning == "lines":
+                results["range image"] = along_range_image(scan, {name: table[name][chosen][kept] for name in table})
             results["densecloud"] = upsampled(program, source, out / "real" / f"{name}-{thinning}")
             results["resampled"] = resampled
             rows += [Row(name, thinning, method, score(truth, kept, points)) for method, points in results.items()]
@@ -262,11 +274,12 @@ def text(rows: List[Row], facts: List[List[str]]) -> str:
     cases = {(row.scan, row.thinning): {} for row in rows}
     for row in rows:
         cases[row.scan, row.thinning][row.method] = row.scores["CDH"]
-    for control in ("repeated", "midpoints", "resampled"):
-        ahead = sum(case["densecloud"] < case[control] for case in cases.values())
-        ours = np.mean([case["densecloud"] for case in cases.values()])
-        theirs = np.mean([case[control] for case in cases.values()])
-        counted.append([control, f"{ahead} of {len(cases)}", plain(float(ours)), plain(float(theirs))])
+    for control in ("repeated", "midpoints", "range image", "resampled"):
+        both = [(case["densecloud"], case[control]) for case in cases.values() if control in case]
+        if both:
+            ahead = sum(ours < theirs for ours, theirs in both)
+            means = [plain(float(mean)) for mean in np.mean(both, axis=0)]
+            counted.append([control, f"{ahead} of {len(both)}", *means])
     worst = max((row.scores["thinned"] for row in rows if row.method == "densecloud"), default=0.0)
     return "\n".join(
         [
