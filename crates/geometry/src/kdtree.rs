@@ -85,7 +85,7 @@ impl KdTree {
         let mut items: Vec<(Point, u32)> = points.iter().copied().zip(indices(n)).collect();
         let mut splits = vec![Split::default(); (1 << depth) - 1];
         build(&mut items, depth, &mut splits);
-        let (lo, hi) = bounds(&items);
+        let (lo, hi) = bounds(points.iter().copied());
         Self {
             order: items.iter().map(|&(_, i)| i).collect(),
             axes: std::array::from_fn(|a| items.iter().map(|(p, _)| p[a]).collect()),
@@ -339,7 +339,7 @@ fn build(items: &mut [(Point, u32)], levels: u32, splits: &mut [Split]) {
         items.sort_unstable_by_key(|&(_, i)| i);
         return;
     }
-    let (lo, hi) = bounds(items);
+    let (lo, hi) = bounds(items.iter().map(|(p, _)| *p));
     let side = |a: usize| hi[a] - lo[a];
     let axis = (1..3).fold(0, |best, a| if side(a) > side(best) { a } else { best });
     let middle = items.len() / 2;
@@ -359,10 +359,10 @@ fn build(items: &mut [(Point, u32)], levels: u32, splits: &mut [Split]) {
     }
 }
 
-pub(super) fn bounds(items: &[(Point, u32)]) -> (Point, Point) {
+pub(super) fn bounds(points: impl Iterator<Item = Point>) -> (Point, Point) {
     let mut lo = [f32::INFINITY; 3];
     let mut hi = [f32::NEG_INFINITY; 3];
-    for (p, _) in items {
+    for p in points {
         for a in 0..3 {
             lo[a] = lo[a].min(p[a]);
             hi[a] = hi[a].max(p[a]);

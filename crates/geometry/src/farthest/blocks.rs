@@ -11,8 +11,9 @@
 
 use rayon::prelude::*;
 
-use super::{First, Item, Key, NONE, Node, Tree};
+use super::{First, Item, Key, NONE, Node, Tree, Weights};
 use crate::kdtree::squared;
+use crate::limit::indices;
 use densecloud_cloud::Point;
 
 /// Choices a block until which they are made one after the other: before, every block is beside every other.
@@ -26,16 +27,21 @@ const ANEW: f32 = 0.5;
 /// As [`super::sample`], by blocks of at most `size` points.
 pub(super) fn sample(
     points: &[Point],
-    weights: &[f32],
+    weights: Weights<'_>,
     count: usize,
     first: First<'_>,
     size: usize,
 ) -> Vec<u32> {
-    let mut items: Vec<Item> = points.iter().copied().zip(0..).collect();
+    // Indices alone: with their points they would take as much as the trees.
+    let mut order: Vec<u32> = indices(points.len()).collect();
     let mut cells = Vec::new();
-    split(&mut items, size, &mut cells);
-    let trees: Vec<Tree> = cells.into_par_iter().map(|cell| Tree::over(cell, weights)).collect();
-    drop(items);
+    split(points, &mut order, size, &mut cells);
+    let tree = |cell: &mut [u32]| {
+        let mut items: Vec<Item> = cell.iter().map(|&i| (points[i as usize], i)).collect();
+        Tree::over(&mut items, weights)
+    };
+    let trees: Vec<Tree> = cells.into_par_iter().map(tree).collect();
+    drop(order);
     let mut blocks =
         Blocks { beside: vec![Vec::new(); trees.len()], trees: trees.into_iter().map(Some).collect() };
 
@@ -56,7 +62,7 @@ pub(super) fn sample(
         blocks.take_note(&[(points[next as usize], next)]);
     }
     // From here on out of order.
-    let mut later: Vec<Key> = Vec::new();
+    let mut later: Vec<Key> = Vec::with_capacity(count + count / 8);
     let (mut colours, mut adjacent_for) = (Vec::new(), f32::INFINITY);
     loop {
         let missing = count - chosen.len();
@@ -86,14 +92,15 @@ fn descending(a: &Key, b: &Key) -> std::cmp::Ordering {
 }
 
 /// Halves the points until no more than `size` are left.
-fn split<'a>(items: &'a mut [Item], size: usize, cells: &mut Vec<&'a mut [Item]>) {
-    if items.len() <= size {
-        cells.push(items);
+fn split<'a>(points: &[Point], order: &'a mut [u32], size: usize, cells: &mut Vec<&'a mut [u32]>) {
+    if order.len() <= size {
+        cells.push(order);
         return;
     }
-    let (left, right) = super::halves(items, items.len() / 2);
+    let middle = order.len() / 2;
+    let (left, right) = super::halves(order, middle, |&i| (points[i as usize], i));
     let (mut before, mut after) = (Vec::new(), Vec::new());
-    rayon::join(|| split(left, size, &mut before), || split(right, size, &mut after));
+    rayon::join(|| split(points, left, size, &mut before), || split(points, right, size, &mut after));
     cells.append(&mut before);
     cells.append(&mut after);
 }
@@ -144,7 +151,7 @@ impl Blocks {
 
     /// The turn of `blocks`, none beside another: each chooses until its squared radius has fallen from
     /// the largest one, `top`, or it has a rival. Returns the choices.
-    fn turn(&mut self, blocks: &[usize], top: f32, points: &[Point], weights: &[f32]) -> Vec<Key> {
+    fn turn(&mut self, blocks: &[usize], top: f32, points: &[Point], weights: Weights<'_>) -> Vec<Key> {
         let mut active: Vec<(usize, Tree)> =
             blocks.iter().filter_map(|&b| Some((b, self.trees[b].take()?))).collect();
         let choices: Vec<Vec<Key>> = active
@@ -159,7 +166,7 @@ impl Blocks {
                     if radius < 0.0 || radius <= TURN * top && radius < top {
                         return choices;
                     }
-                    let (at, weight) = (points[key.index() as usize], weights[key.index() as usize]);
+                    let (at, weight) = (points[key.index() as usize], weights.at(key.index()));
                     if rivals().any(|rival| rival.has_rival_of(at, weight, key)) {
                         return choices;
                     }

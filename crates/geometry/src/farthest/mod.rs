@@ -43,7 +43,7 @@ const NONE: u32 = u32::MAX;
 /// ```
 #[must_use]
 pub fn farthest_point_sampling(points: &[Point], count: usize, first: usize) -> Vec<u32> {
-    sample(points, &vec![1.0; points.len()], count, first)
+    sample(points, Weights::Even, count, first)
 }
 
 /// As [`farthest_point_sampling`], with distances to a point measured in the `spacing` there, so that a subset of
@@ -71,8 +71,7 @@ pub fn scaled_farthest_point_sampling(
     first: usize,
 ) -> Vec<u32> {
     assert_eq!(points.len(), spacing.len(), "one spacing a point");
-    let weights: Vec<f32> = spacing.iter().map(|s| 1.0 / (s * s)).collect();
-    sample(points, &weights, count, first)
+    sample(points, Weights::Of(spacing), count, first)
 }
 
 /// As [`scaled_farthest_point_sampling`], beside points that are chosen already: the first is the point farthest from all of
@@ -96,9 +95,8 @@ pub fn farthest_point_sampling_beside(
     beside: &[Point],
 ) -> Vec<u32> {
     assert_eq!(points.len(), spacing.len(), "one spacing a point");
-    let weights: Vec<f32> = spacing.iter().map(|s| 1.0 / (s * s)).collect();
     let first = if beside.is_empty() { First::Point(0) } else { First::Beside(beside) };
-    start(points, &weights, count, first)
+    start(points, Weights::Of(spacing), count, first)
 }
 
 /// What a sampling starts with.
@@ -110,13 +108,30 @@ enum First<'a> {
     Beside(&'a [Point]),
 }
 
-/// Squared distances to a point count as its `weights` say.
-fn sample(points: &[Point], weights: &[f32], count: usize, first: usize) -> Vec<u32> {
+/// What a squared distance to each point counts.
+#[derive(Clone, Copy)]
+enum Weights<'a> {
+    /// The same to all.
+    Even,
+    /// The inverse square of the spacing at each.
+    Of(&'a [f32]),
+}
+
+impl Weights<'_> {
+    fn at(self, i: u32) -> f32 {
+        match self {
+            Self::Even => 1.0,
+            Self::Of(spacing) => 1.0 / (spacing[i as usize] * spacing[i as usize]),
+        }
+    }
+}
+
+fn sample(points: &[Point], weights: Weights<'_>, count: usize, first: usize) -> Vec<u32> {
     let first = first.min(indices(points.len()).len().saturating_sub(1)) as u32;
     start(points, weights, count, First::Point(first))
 }
 
-fn start(points: &[Point], weights: &[f32], count: usize, first: First<'_>) -> Vec<u32> {
+fn start(points: &[Point], weights: Weights<'_>, count: usize, first: First<'_>) -> Vec<u32> {
     let count = count.min(indices(points.len()).len());
     if count == 0 {
         return Vec::new();
@@ -128,7 +143,7 @@ fn start(points: &[Point], weights: &[f32], count: usize, first: First<'_>) -> V
 }
 
 /// One point after the other, on one thread.
-fn in_turn(points: &[Point], weights: &[f32], count: usize, first: First<'_>) -> Vec<u32> {
+fn in_turn(points: &[Point], weights: Weights<'_>, count: usize, first: First<'_>) -> Vec<u32> {
     let mut chosen = Vec::with_capacity(count);
     let mut tree = Tree::new(points, weights);
     let mut next = match first {
@@ -241,11 +256,11 @@ impl Bucket {
 }
 
 impl Tree {
-    fn new(points: &[Point], weights: &[f32]) -> Self {
+    fn new(points: &[Point], weights: Weights<'_>) -> Self {
         Self::over(&mut points.iter().copied().zip(0..).collect::<Vec<_>>(), weights)
     }
 
-    fn over(items: &mut [Item], weights: &[f32]) -> Self {
+    fn over(items: &mut [Item], weights: Weights<'_>) -> Self {
         let buckets = items.len().div_ceil(BUCKET);
         let empty = Node {
             lo: [f32::INFINITY; 3],
@@ -262,19 +277,19 @@ impl Tree {
     }
 
     /// Buckets are made left to right, so a node's buckets follow from its place alone.
-    fn build(&mut self, node: usize, items: &mut [Item], weights: &[f32]) {
-        let (lo, hi) = bounds(items);
+    fn build(&mut self, node: usize, items: &mut [Item], weights: Weights<'_>) {
+        let (lo, hi) = bounds(items.iter().map(|(p, _)| *p));
         let buckets = items.len().div_ceil(BUCKET);
         if buckets <= 1 {
             // In a bucket the first of equal distances is the one of the lowest index.
             items.sort_unstable_by_key(|&(_, i)| i);
             let bucket = bucket(items, weights);
-            let lightest = items.iter().map(|&(_, i)| weights[i as usize]).fold(f32::INFINITY, f32::min);
+            let lightest = items.iter().map(|&(_, i)| weights.at(i)).fold(f32::INFINITY, f32::min);
             self.nodes[node] = Node { lo, hi, key: bucket.farthest(), lightest };
             self.buckets.push(bucket);
             return;
         }
-        let (left, right) = halves(items, buckets / 2 * BUCKET);
+        let (left, right) = halves(items, buckets / 2 * BUCKET, |&item| item);
         self.build(2 * node + 1, left, weights);
         self.build(2 * node + 2, right, weights);
         let (left, right) = (&self.nodes[2 * node + 1], &self.nodes[2 * node + 2]);
@@ -317,15 +332,18 @@ impl Node {
 
 /// The first `middle` points along the longest side of their box, and the others; ties by index make
 /// the two unique.
-fn halves(items: &mut [Item], middle: usize) -> (&mut [Item], &mut [Item]) {
-    let (lo, hi) = bounds(items);
+fn halves<T>(items: &mut [T], middle: usize, item: impl Fn(&T) -> Item) -> (&mut [T], &mut [T]) {
+    let (lo, hi) = bounds(items.iter().map(|of| item(of).0));
     let side = |a: usize| hi[a] - lo[a];
     let axis = (1..3).fold(0, |best, a| if side(a) > side(best) { a } else { best });
-    items.select_nth_unstable_by(middle, |(p, i), (q, j)| p[axis].total_cmp(&q[axis]).then(i.cmp(j)));
+    items.select_nth_unstable_by(middle, |a, b| {
+        let ((p, i), (q, j)) = (item(a), item(b));
+        p[axis].total_cmp(&q[axis]).then(i.cmp(&j))
+    });
     items.split_at_mut(middle)
 }
 
-fn bucket(items: &[Item], weights: &[f32]) -> Bucket {
+fn bucket(items: &[Item], weights: Weights<'_>) -> Bucket {
     let mut bucket = Bucket {
         x: [0.0; BUCKET],
         y: [0.0; BUCKET],
@@ -336,7 +354,7 @@ fn bucket(items: &[Item], weights: &[f32]) -> Bucket {
     };
     for (place, &([x, y, z], index)) in items.iter().enumerate() {
         (bucket.x[place], bucket.y[place], bucket.z[place]) = (x, y, z);
-        bucket.weight[place] = weights[index as usize];
+        bucket.weight[place] = weights.at(index);
         (bucket.distance[place], bucket.index[place]) = (f32::INFINITY, index);
     }
     bucket
@@ -418,12 +436,12 @@ mod tests {
                 prop_assert_eq!(&scaled_farthest_point_sampling(&points, spacing, count, first), &wanted);
                 if n > 0 && count > 0 {
                     let first = first.min(n - 1) as u32;
-                    prop_assert_eq!(&blocks::sample(&points, weights, count.min(n), First::Point(first), 20), &wanted);
+                    prop_assert_eq!(&blocks::sample(&points, Weights::Of(spacing), count.min(n), First::Point(first), 20), &wanted);
                     let others: Vec<Point> = (0..1 + n / 8).map(|_| std::array::from_fn(|_| rng.f64() as f32)).collect();
                     let wanted = plain_beside(&points, weights, count, 0, &others);
                     prop_assert_eq!(&farthest_point_sampling_beside(&points, spacing, count, &others), &wanted);
                     let first = First::Beside(&others);
-                    prop_assert_eq!(&blocks::sample(&points, weights, count.min(n), first, 20), &wanted);
+                    prop_assert_eq!(&blocks::sample(&points, Weights::Of(spacing), count.min(n), first, 20), &wanted);
                 }
             }
         }
@@ -434,9 +452,9 @@ mod tests {
         let mesh = crate::shape("knot").expect("a built-in shape");
         let points: Vec<Point> =
             crate::uniform(&mesh, 40_000, 1).expect("points").iter().map(|p| p.map(|c| c as f32)).collect();
-        let weights: Vec<f32> = points.iter().map(|p| 30.0_f32.powf(p[0])).collect();
-        for (weights, count) in
-            [(&weights, 1000), (&vec![1.0; 40_000], 15_000), (&weights, 15_000), (&weights, 40_000)]
+        let spacing: Vec<f32> = points.iter().map(|p| 30.0_f32.powf(-0.5 * p[0])).collect();
+        let uneven = Weights::Of(&spacing);
+        for (weights, count) in [(uneven, 1000), (Weights::Even, 15_000), (uneven, 15_000), (uneven, 40_000)]
         {
             let first = First::Point(7);
             let wanted = in_turn(&points, weights, count, first);
