@@ -265,7 +265,7 @@ fn cascade(
     let plan = Plan::new(target, run.options.quality, finite, points.len(), shape)?;
     let Parted { together, apart } = Parted::of(points, shape.neighbours + 1, globals);
     if globals.sizes.is_empty() {
-        globals.plan(plan.without(apart.len(), together.len(), run.options.polish).sizes);
+        globals.plan(plan.sizes(apart.len(), together.len(), run.options.polish));
     }
     run.observer.plan(&globals.sizes);
     let levels = globals.sizes.len();

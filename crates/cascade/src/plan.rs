@@ -74,10 +74,13 @@ impl FromStr for Quality {
 /// A polished level may output up to 1.25 × (2 × its input points).
 const SPARE: f64 = 1.25;
 
-/// The sizes after each level: doubling, and the target last.
+/// How many points are wanted of an input, and in how many levels.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) struct Plan {
-    pub(super) sizes: Vec<usize>,
+    wanted: usize,
+    /// Doublings of all the input's points that give as many.
+    levels: usize,
+    quality: Quality,
 }
 
 impl Plan {
@@ -99,34 +102,29 @@ impl Plan {
         if wanted > distinct.saturating_mul(MAX_RATIO as usize) {
             return Err(CascadeError::TooManyDuplicates { distinct, total: finite });
         }
-        let mut sizes = Vec::new();
-        let mut size = distinct;
-        while sizes.is_empty() || size < wanted {
-            size *= 2;
-            sizes.push(size.min(wanted));
-        }
         if quality == Quality::Best {
             check_count(wanted.saturating_mul(2))?;
-            sizes.push(wanted);
         }
-        Ok(Self { sizes })
+        let levels = wanted.div_ceil(finite).next_power_of_two().ilog2().max(1) as usize;
+        Ok(Self { wanted, levels, quality })
     }
 
-    /// The plan when `apart` points are kept as they are and `together` are worked on. A `polished` last level can choose
-    /// among more than twice its input, so a few points that are apart do not cost a level.
-    pub(super) fn without(self, apart: usize, together: usize, polished: bool) -> Self {
-        let Some(&wanted) = self.sizes.last().filter(|_| apart > 0) else { return self };
-        let wanted = wanted - apart;
-        let mut sizes: Vec<usize> = Vec::new();
-        let mut size = together;
+    /// The sizes after each level, doubling, and the target last, when `apart` points are kept as they are and `together`
+    /// are worked on. A `polished` last level can choose among more than twice its input, so a few points that are apart
+    /// or coincide with others do not cost a level.
+    pub(super) fn sizes(&self, apart: usize, together: usize, polished: bool) -> Vec<usize> {
+        let wanted = self.wanted - apart;
         let spare = if polished { SPARE } else { 1.0 };
-        while sizes.len() < self.sizes.len() || spare * (size as f64) < wanted as f64 {
+        let (mut sizes, mut size) = (Vec::new(), together);
+        while sizes.len() < self.levels || spare * (size as f64) < wanted as f64 {
             size *= 2;
             sizes.push(size.min(wanted));
         }
-        sizes.pop();
+        if self.quality == Quality::Standard {
+            sizes.pop();
+        }
         sizes.push(wanted);
-        Self { sizes }
+        sizes
     }
 }
 
@@ -137,7 +135,7 @@ mod tests {
     const SHAPE: UnitShape = UnitShape { patch_size: 312, neighbours: 32, channels: 264 };
 
     fn sizes(target: Target, finite: usize, distinct: usize) -> Vec<usize> {
-        Plan::new(target, Quality::Standard, finite, distinct, SHAPE).unwrap().sizes
+        Plan::new(target, Quality::Standard, finite, distinct, SHAPE).unwrap().sizes(0, distinct, true)
     }
 
     #[test]
@@ -159,10 +157,11 @@ mod tests {
     #[test]
     fn the_best_quality_takes_a_level_more() {
         let of = |ratio| Plan::new(Target::Ratio(ratio), Quality::Best, 1000, 1000, SHAPE).unwrap();
-        assert_eq!(of(1.0).sizes, [1000, 1000]);
-        assert_eq!(of(3.0).sizes, [2000, 3000, 3000]);
-        assert_eq!(of(4.0).sizes, [2000, 4000, 4000]);
-        assert_eq!(of(4.0).without(100, 900, true).sizes, [1800, 3600, 3900]);
+        assert_eq!(of(1.0).sizes(0, 1000, true), [1000, 1000]);
+        assert_eq!(of(3.0).sizes(0, 1000, true), [2000, 3000, 3000]);
+        assert_eq!(of(4.0).sizes(0, 1000, true), [2000, 4000, 4000]);
+        assert_eq!(of(4.0).sizes(100, 900, true), [1800, 3600, 3900]);
+        assert_eq!(of(4.0).sizes(0, 400, true), [800, 1600, 3200, 4000]);
         let large = Plan::new(Target::Points(3 << 30), Quality::Best, 1 << 30, 1 << 30, SHAPE).unwrap_err();
         assert!(matches!(large, CascadeError::TooManyPoints(_)), "{large}");
     }
@@ -176,8 +175,14 @@ mod tests {
     }
 
     #[test]
-    fn duplicates_count_towards_the_target() {
-        assert_eq!(sizes(Target::Ratio(2.0), 1000, 400), [800, 1600, 2000]);
+    fn duplicates_count_towards_the_target_and_few_cost_no_level() {
+        assert_eq!(sizes(Target::Ratio(4.0), 1000, 999), [1998, 4000]);
+        assert_eq!(sizes(Target::Ratio(2.0), 1000, 999), [2000]);
+        assert_eq!(sizes(Target::Ratio(4.0), 1000, 700), [1400, 2800, 4000]);
+        assert_eq!(sizes(Target::Ratio(2.0), 1000, 390), [780, 1560, 2000]);
+        let rough = Plan::new(Target::Ratio(4.0), Quality::Standard, 1000, 999, SHAPE).unwrap();
+        assert_eq!(rough.sizes(0, 999, false), [1998, 3996, 4000]);
+        assert_eq!(rough.sizes(10, 989, true), [1978, 3990]);
     }
 
     #[test]
@@ -185,7 +190,7 @@ mod tests {
         let quality = Quality::Standard;
         let of = |ratio, apart, polished| {
             let plan = Plan::new(Target::Ratio(ratio), quality, 1000, 1000, SHAPE).unwrap();
-            plan.without(apart, 1000 - apart, polished).sizes
+            plan.sizes(apart, 1000 - apart, polished)
         };
         assert_eq!(of(4.0, 0, true), [2000, 4000]);
         assert_eq!(of(4.0, 10, true), [1980, 3990]);

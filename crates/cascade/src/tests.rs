@@ -251,6 +251,22 @@ fn duplicates_count_towards_the_size_alone() {
 }
 
 #[test]
+fn a_few_duplicates_cost_no_level() {
+    let runs = |cloud: &[Position]| {
+        let fake = Fake::new();
+        let runner = Patchwise::new(Arc::new(fake.clone()));
+        let dense =
+            upsample(cloud, Target::Ratio(4.0), &CascadeOptions::default(), &runner, &Silent).unwrap();
+        assert_eq!(dense.positions.len(), 4 * cloud.len());
+        fake.batches()
+    };
+    let mut cloud = sphere(500, 7);
+    let without = runs(&cloud);
+    cloud.push(cloud[3]);
+    assert_eq!(runs(&cloud), without);
+}
+
+#[test]
 fn impossible_clouds_say_why() {
     let message = |cloud: &[Position]| run(cloud, 2.0, 1).unwrap_err().to_string();
     assert_eq!(message(&[]), "the cloud has no finite points");
