@@ -126,9 +126,7 @@ impl Level {
         };
         let merged = without_strays(&made, &limits, &reference, &mut globals.levels[number]);
         drop((made, local));
-        let local = reference.local(&merged.nearest);
-        let merged = merged.points;
-        if merged.len() < share(FEWEST) {
+        if merged.points.len() < share(FEWEST) {
             let why = "it made points that are not finite; the model is unusable".into();
             return Err(BackendError::Run { unit: unit + 1, why }.into());
         }
@@ -138,20 +136,21 @@ impl Level {
         if observer.cancelled() {
             return Err(CascadeError::Cancelled);
         }
-        let (points, local) = if last && options.polish {
+        if last && options.polish {
             let sizes = Sizes { full: doubled.max(size), size };
-            (polish(&merged, local, sizes, &reference, &mut globals.polish, &mut random, observer)?, None)
-        } else {
-            let first = random.below(merged.len() as u64) as usize;
-            let mut kept = sample(&merged, local.as_deref(), size.min(merged.len()), first);
-            if !last {
-                // The order means nothing to the next level, and patch by patch neighbours are near in memory.
-                kept.sort_unstable();
-            }
-            let local = local.map(|local| kept.iter().map(|&i| local[i as usize]).collect());
-            (kept.iter().map(|&i| merged[i as usize]).collect(), local)
-        };
-        let reference = (!last).then_some(reference);
-        Ok(Handover { points, local, previous, reference })
+            let points = polish(merged, sizes, reference, &mut globals.polish, &mut random, observer)?;
+            return Ok(Handover { points, local: None, previous: None, reference: None });
+        }
+        let local = reference.local(&merged.nearest);
+        let merged = merged.points;
+        let first = random.below(merged.len() as u64) as usize;
+        let mut kept = sample(&merged, local.as_deref(), size.min(merged.len()), first);
+        if !last {
+            // The order means nothing to the next level, and patch by patch neighbours are near in memory.
+            kept.sort_unstable();
+        }
+        let local = local.map(|local| kept.iter().map(|&i| local[i as usize]).collect());
+        let points = kept.iter().map(|&i| merged[i as usize]).collect();
+        Ok(Handover { points, local, previous, reference: (!last).then_some(reference) })
     }
 }

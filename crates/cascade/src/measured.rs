@@ -35,8 +35,7 @@ impl Reference {
 
     /// The local spacing at the input points `nearest` to others; none where the whole is to be equally dense.
     pub(super) fn local(&self, nearest: &[u32]) -> Option<Vec<f32>> {
-        let spacing = &self.neighbourhoods.as_ref()?.spacing;
-        Some(nearest.iter().map(|&i| spacing[i as usize]).collect())
+        self.neighbourhoods.as_ref().map(|of| of.spacing_at(nearest))
     }
 }
 

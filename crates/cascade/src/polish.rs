@@ -12,9 +12,11 @@ use rayon::prelude::*;
 
 use super::anchors::Anchors;
 use super::balance::{SURPLUS, Shares, balanced};
+use super::border::Borders;
 use super::globals::{PolishGlobals, once};
 use super::measured::{Measured, Reference};
-use super::share::sample;
+use super::share::{Neighbourhoods, sample};
+use super::strays::Kept;
 use super::{CascadeError, Observer, check_count};
 use densecloud_cloud::Point;
 use densecloud_geometry::{
@@ -58,13 +60,12 @@ pub(super) struct Sizes {
     pub(super) size: usize,
 }
 
-/// Chooses points spread over what the unit `made`, evenly in the `local` spacing at each where that is given, ordered as by
-/// farthest point sampling.
+/// Chooses points spread over what the unit made, evenly in the spacing of the input at each where that has neighbourhoods,
+/// ordered as by farthest point sampling. Takes what it is given, to free each part when its last use is over.
 pub(super) fn polish(
-    made: &[Point],
-    local: Option<Vec<f32>>,
+    Kept { points: mut made, mut nearest }: Kept,
     Sizes { full, size }: Sizes,
-    reference: &Reference,
+    Reference { input, borders, neighbourhoods }: Reference,
     globals: &mut PolishGlobals,
     random: &mut Rng,
     observer: &dyn Observer,
@@ -72,38 +73,47 @@ pub(super) fn polish(
     let go_on = || if observer.cancelled() { Err(CascadeError::Cancelled) } else { Ok(()) };
 
     // From here on neighbours in space are neighbours in memory.
-    let (tree, made, order) = KdTree::sorted(made);
-    let local: Option<Vec<f32>> = local.map(|local| order.iter().map(|&i| local[i as usize]).collect());
-    drop(order);
-    let anchors = Anchors::new(&reference.input, &made, &tree, &mut globals.trust);
+    let (tree, sorted, order) = KdTree::sorted(&made);
+    nearest = order.iter().map(|&i| nearest[i as usize]).collect();
+    drop((std::mem::replace(&mut made, sorted), order));
+    let anchors = Anchors::new(&input, &made, &tree, &mut globals.trust);
+    let surface = Surface { input: &input, borders: &borders, trust: anchors.trust };
     let Candidates { points: candidates, local, areas } = if made.len() > full + full / 10 {
         let first = random.below(made.len() as u64) as usize;
+        let local = neighbourhoods.as_ref().map(|of| of.spacing_at(&nearest));
         let mut kept = sample(&made, local.as_deref(), full, first);
+        drop(local);
         kept.par_sort_unstable();
-        let sample: Vec<Point> = kept.iter().map(|&i| made[i as usize]).collect();
-        Candidates::of(&KdTree::new(&sample), &sample, size, reference, anchors.trust, globals)
+        let points: Vec<Point> = kept.iter().map(|&i| made[i as usize]).collect();
+        nearest = kept.iter().map(|&i| nearest[i as usize]).collect();
+        let sample = Sample { tree: &KdTree::new(&points), points: &points, nearest: &nearest };
+        Candidates::of(sample, size, surface, neighbourhoods, globals)
     } else {
-        Candidates::of(&tree, &made, size, reference, anchors.trust, globals)
+        let sample = Sample { tree: &tree, points: &made, nearest: &nearest };
+        Candidates::of(sample, size, surface, neighbourhoods, globals)
     };
+    drop((nearest, borders));
     check_count(candidates.len())?;
     go_on()?;
     let first = random.below(candidates.len() as u64) as usize;
     let count = ((SURPLUS * size as f64) as usize).min(candidates.len());
     let sampled = sample(&candidates, local.as_deref(), count, first);
     drop(local);
-    let shares = Shares { input: &reference.input, areas: &areas, trust: anchors.trust };
+    let shares = Shares { input: &input, areas: &areas, trust: anchors.trust };
     let order = balanced(&candidates, &sampled, size, shares, globals);
 
     let mut chosen = order.clone();
     chosen.par_sort_unstable();
     let mut dense: Vec<Point> = chosen.par_iter().map(|&i| candidates[i as usize]).collect();
+    let count = candidates.len();
+    drop((candidates, sampled, areas));
     go_on()?;
     relax(&mut dense);
     go_on()?;
     project_to_surface(&mut dense, &made, &tree);
     anchors.draw(&mut dense);
 
-    let mut place_of = vec![0; candidates.len()];
+    let mut place_of = vec![0; count];
     chosen.iter().zip(0_u32..).for_each(|(&i, place)| place_of[i as usize] = place);
     Ok(order.par_iter().map(|&i| dense[place_of[i as usize] as usize]).collect())
 }
@@ -121,48 +131,48 @@ struct Candidates {
 }
 
 impl Candidates {
-    /// `tree` must be built from `sample`.
     fn of(
-        tree: &KdTree,
-        sample: &[Point],
+        sample: Sample<'_>,
         size: usize,
-        Reference { input, borders, neighbourhoods }: &Reference,
-        trust: f32,
+        Surface { input, borders, trust }: Surface<'_>,
+        neighbourhoods: Option<Neighbourhoods>,
         globals: &mut PolishGlobals,
     ) -> Self {
-        let density = once(&mut globals.input_a_sample, || input.points.len() as f32 / sample.len() as f32);
+        let Sample { tree, points: made, nearest } = sample;
+        let density = once(&mut globals.input_a_sample, || input.points.len() as f32 / made.len() as f32);
         let reach = REACH * density.sqrt();
         let cell = |i: usize, near: &[Neighbour], normal| {
-            let nearest = input.tree.nearest_one(sample[i]).map_or(0, |n| n.index);
+            let nearest = nearest[i];
             let spacing = input.spacing[nearest as usize];
             let radius = reach * spacing;
             let reach = Reach { radius, past: borders.past(nearest) * radius, flat: FLAT * spacing };
-            (nearest, cell_area(sample, i, near, normal, reach))
+            cell_area(made, i, near, normal, reach)
         };
-        let (rings, cells) = surroundings(tree, sample, cell);
+        let (rings, cells) = surroundings(tree, made, cell);
         let mut areas = vec![0.0; input.points.len()];
-        cells.iter().for_each(|&(nearest, area)| areas[nearest as usize] += area);
-        let local = neighbourhoods.as_ref().map(|n| n.spacing_of(&areas, &mut globals.usual_point));
+        nearest.iter().zip(&cells).for_each(|(&nearest, area)| areas[nearest as usize] += area);
+        drop(cells);
+        let local = neighbourhoods.map(|n| n.spacing_of(&areas, &mut globals.usual_point));
         if let Some(local) = &local {
             areas.iter_mut().zip(local).for_each(|(area, spacing)| *area /= spacing * spacing);
         }
         let of_sample =
-            local.as_ref().map(|local| cells.iter().map(|&(i, _)| local[i as usize]).collect::<Vec<_>>());
-        let (mut points, mut spacings) = midpoints(sample, &rings, of_sample.as_deref());
+            local.as_ref().map(|local| nearest.iter().map(|&i| local[i as usize]).collect::<Vec<_>>());
+        let (mut points, mut spacings) = midpoints(made, &rings, of_sample.as_deref());
         let midpoints_made = once(&mut globals.midpoints, || points.len());
         let reached_by = if midpoints_made < size { ReachedBy::SampleToo } else { ReachedBy::Midpoints };
         if reached_by == ReachedBy::SampleToo {
-            points.extend_from_slice(sample);
+            points.extend_from_slice(made);
             spacings.extend(of_sample.iter().flatten());
         }
         let short = SHORT * (1.0 - trust);
-        for i in fallen_short_of(&Sample { tree, points: sample, rings: &rings }, reached_by, input, short) {
+        for i in fallen_short_of(sample, &rings, reached_by, input, short) {
             points.push(input.points[i as usize]);
             spacings.extend(local.as_ref().map(|local| local[i as usize]));
         }
         if points.len() < size {
             // All is rough: whatever lies between neighbours, which is at least 3.5 times the sample.
-            let (more, their) = midpoints(sample, &nearest_rings(tree, sample), of_sample.as_deref());
+            let (more, their) = midpoints(made, &nearest_rings(tree, made), of_sample.as_deref());
             points.extend(more);
             spacings.extend(their);
         }
@@ -283,11 +293,23 @@ fn relax(points: &mut [Point]) {
     }
 }
 
-/// A sample of what the unit made, its tree and each point's ring.
+/// A sample of what the unit made.
+#[derive(Clone, Copy)]
 struct Sample<'a> {
+    /// Built from the points.
     tree: &'a KdTree,
     points: &'a [Point],
-    rings: &'a [Ring],
+    /// For each the nearest input point.
+    nearest: &'a [u32],
+}
+
+/// What the input tells of the surface.
+#[derive(Clone, Copy)]
+struct Surface<'a> {
+    input: &'a Measured,
+    borders: &'a Borders,
+    /// How clean the input is, from 0 to 1.
+    trust: f32,
 }
 
 /// The candidates that may come near an input point.
@@ -301,8 +323,13 @@ enum ReachedBy {
 
 /// The input points that no candidate comes nearer to than `short` of their spacing: what was measured must not vanish.
 /// Looks at the candidates around the nearest points of the sample only.
-fn fallen_short_of(sample: &Sample<'_>, by: ReachedBy, input: &Measured, short: f32) -> Vec<u32> {
-    let Sample { tree, points, rings } = *sample;
+fn fallen_short_of(
+    Sample { tree, points, .. }: Sample<'_>,
+    rings: &[Ring],
+    by: ReachedBy,
+    input: &Measured,
+    short: f32,
+) -> Vec<u32> {
     let far = |found: &mut Vec<Neighbour>, ((p, spacing), i): ((&Point, &f32), u32)| {
         let limit = (short * spacing).powi(2);
         let near = |q: Point| (0..3).map(|a| (q[a] - p[a]).powi(2)).sum::<f32>() <= limit;
@@ -347,9 +374,15 @@ mod tests {
         Reference::new(points, vec![spacing; points.len()], None, &mut Globals::new(frame))
     }
 
-    fn polished(made: &[Point], full: usize, size: usize, reference: &Reference) -> Vec<Point> {
+    fn nearest(points: &[Point], reference: &Reference) -> Vec<u32> {
+        let nearest = |p: &Point| reference.input.tree.nearest_one(*p).expect("a point").index;
+        points.iter().map(nearest).collect()
+    }
+
+    fn polished(made: &[Point], full: usize, size: usize, reference: Reference) -> Vec<Point> {
         let (mut globals, mut random) = (PolishGlobals::default(), Rng::new(5));
-        polish(made, None, Sizes { full, size }, reference, &mut globals, &mut random, &Silent).unwrap()
+        let made = Kept { points: made.to_vec(), nearest: nearest(made, &reference) };
+        polish(made, Sizes { full, size }, reference, &mut globals, &mut random, &Silent).unwrap()
     }
 
     /// A square of unit side, at some height.
@@ -383,7 +416,7 @@ mod tests {
         let made = square(3000, 0.5, 1);
         let sample: Vec<Point> =
             farthest_point_sampling(&made, 2000, 0).iter().map(|&i| made[i as usize]).collect();
-        let dense = polished(&made, 2000, 2000, &reference(&sample[..500], 0.05));
+        let dense = polished(&made, 2000, 2000, reference(&sample[..500], 0.05));
         assert_eq!(dense.len(), 2000);
         assert!(dense.iter().all(|p| (p[2] - 0.5).abs() < 1e-6));
         let (before, after) = (variation(&sample), variation(&dense));
@@ -397,7 +430,7 @@ mod tests {
             farthest_point_sampling(&made, 2000, 0).iter().map(|&i| made[i as usize]).collect();
         let mut measured = sample[..500].to_vec();
         measured.push([0.5, 1.06, 0.5]);
-        let dense = polished(&made, 2000, 2000, &reference(&measured, 0.05));
+        let dense = polished(&made, 2000, 2000, reference(&measured, 0.05));
         assert!(dense.iter().any(|p| p[1] > 1.04), "nothing near the tip");
     }
 
@@ -406,10 +439,9 @@ mod tests {
         for n in [20_u64, 60, 300] {
             let mut random = Rng::new(n);
             let made: Vec<Point> = (0..n).map(|_| std::array::from_fn(|_| random.f64() as f32)).collect();
-            let input = reference(&made, 0.1);
             // Edges at any angle to any normal: few midpoints are of one surface.
             for size in [2 * made.len(), 3 * made.len()] {
-                assert_eq!(polished(&made, size, size, &input).len(), size);
+                assert_eq!(polished(&made, size, size, reference(&made, 0.1)).len(), size);
             }
         }
     }
@@ -445,7 +477,9 @@ mod tests {
         let even = thinned(8000, 400, 2);
         let (tree, made) = KdTree::in_order(&points);
         let (input, mut globals) = (reference(&even, 0.06), PolishGlobals::default());
-        let areas = Candidates::of(&tree, &made, made.len(), &input, 1.0, &mut globals).areas;
+        let sample = Sample { tree: &tree, points: &made, nearest: &nearest(&made, &input) };
+        let surface = Surface { input: &input.input, borders: &input.borders, trust: 1.0 };
+        let areas = Candidates::of(sample, made.len(), surface, None, &mut globals).areas;
         let whole: f32 = areas.iter().sum();
         assert!((0.93..1.1).contains(&whole), "{whole}");
         let right: f32 = even.iter().zip(&areas).filter(|(p, _)| p[0] > 0.5).map(|(_, area)| area).sum();
@@ -466,6 +500,6 @@ mod tests {
     #[test]
     fn too_few_midpoints_are_made_up_for() {
         let points = vec![[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
-        assert_eq!(polished(&points, 5, 5, &reference(&points, 1.0)).len(), 5);
+        assert_eq!(polished(&points, 5, 5, reference(&points, 1.0)).len(), 5);
     }
 }

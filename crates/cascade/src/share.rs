@@ -99,6 +99,11 @@ impl Neighbourhoods {
         Ok(Self { scale, spacing })
     }
 
+    /// The local spacing at the points that have these indices.
+    pub(super) fn spacing_at(&self, indices: &[u32]) -> Vec<f32> {
+        indices.iter().map(|&i| self.spacing[i as usize]).collect()
+    }
+
     /// The local spacing by the `areas` that the points have: the root of their mean over a neighbourhood as large as it takes
     /// to tell it from chance.
     pub(super) fn spacing_of(&self, areas: &[f32], usual: &mut Option<f32>) -> Vec<f32> {
