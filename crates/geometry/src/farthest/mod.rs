@@ -85,7 +85,7 @@ pub fn scaled_farthest_point_sampling(
 /// use densecloud_geometry::farthest_point_sampling_beside;
 ///
 /// let line: Vec<_> = (0..9).map(|i| [i as f32, 0.0, 0.0]).collect();
-/// assert_eq!(farthest_point_sampling_beside(&line, &[1.0; 9], 3, &[[-1.0, 0.0, 0.0]]), [8, 3, 5]);
+/// assert_eq!(farthest_point_sampling_beside(&line, &[1.0; 9], 3, &[[-1.0, 0.0, 0.0]]), [8, 3, 1]);
 /// ```
 #[must_use]
 pub fn farthest_point_sampling_beside(
