@@ -4,6 +4,7 @@ use rayon::prelude::*;
 
 use super::globals::{PolishGlobals, median, once};
 use super::measured::Measured;
+use super::part::Within;
 use densecloud_cloud::Point;
 use densecloud_geometry::{Neighbour, indices};
 
@@ -27,6 +28,9 @@ pub(super) struct Shares<'a> {
     pub(super) areas: &'a [f32],
     /// How clean the input is, from 0 to 1.
     pub(super) trust: f32,
+    /// Where the input is a part of a cloud, which of it is wanted: the candidates are of that alone, and beside them the
+    /// sites that are settled.
+    pub(super) part: Option<&'a Within<'a>>,
 }
 
 /// Chooses `size` of the `candidates` that `sampled` names in the order of farthest point sampling:
@@ -61,6 +65,10 @@ pub(super) fn balanced(
             *count += 1.0;
         }
     }
+    let settled = shares.part.map_or(&[][..], Within::settled_inside);
+    for nearest in settled.iter().filter_map(|p| input.tree.nearest_one(*p)) {
+        counts[nearest.index as usize] += 1.0;
+    }
     let excess = crowding(&counts, shares, globals);
     let mut order: Vec<(f32, u32)> = indices(sampled.len())
         .into_par_iter()
@@ -77,12 +85,18 @@ pub(super) fn balanced(
 /// are the points chosen nearest to each input point.
 fn crowding(
     counts: &[f32],
-    Shares { input, areas, trust }: Shares<'_>,
+    Shares { input, areas, trust, part }: Shares<'_>,
     globals: &mut PolishGlobals,
 ) -> Vec<f32> {
-    let region = |found: &mut Vec<_>, p: &Point| {
+    let region = |found: &mut Vec<Neighbour>, p: &Point| {
         input.tree.nearest(*p, REGION, found);
-        let sum = |of: &[f32]| found.iter().map(|n: &Neighbour| of[n.index as usize]).sum::<f32>();
+        let all = found.len();
+        if let Some(part) = part {
+            found.retain(|n| part.belongs(input.points[n.index as usize]));
+        }
+        // What is wanted stands for the rest of the region.
+        let rest = all as f32 / found.len().max(1) as f32;
+        let sum = |of: &[f32]| rest * found.iter().map(|n| of[n.index as usize]).sum::<f32>();
         (sum(counts), sum(areas))
     };
     let (counts, areas): (Vec<f32>, Vec<f32>) = input.points.par_iter().map_init(Vec::new, region).unzip();
@@ -123,7 +137,7 @@ mod tests {
     fn kept(order: &[Point], size: usize, input: &[Point], areas: &[f32], trust: f32) -> Vec<u32> {
         let input = Measured::new(input, vec![0.05; input.len()]);
         let sampled: Vec<u32> = (0..order.len() as u32).collect();
-        let shares = Shares { input: &input, areas, trust };
+        let shares = Shares { input: &input, areas, trust, part: None };
         balanced(order, &sampled, size, shares, &mut PolishGlobals::default())
     }
 

@@ -7,7 +7,10 @@
 //! Three more things depend on the whole cloud and are not numbers; they stay with their algorithms: the order in which
 //! farthest point sampling chooses, the random choice of its first points, and the exact sizes of levels.
 
+use std::sync::Arc;
+
 use crate::apart::PASSES;
+use crate::part::Field;
 use densecloud_cloud::{Frame, Point};
 
 /// Every statistic of a whole cloud that the cascade uses. Each is `None` until its first use, which computes it; later
@@ -24,6 +27,8 @@ pub(crate) struct Globals {
     pub(crate) evenness: Option<f32>,
     /// The logarithm of the area that an input point usually has: [`usual_logarithm`].
     pub(crate) usual_point: Option<f32>,
+    /// How dense the whole is, coarsely: for parts of it alone.
+    pub(crate) field: Option<Arc<Field>>,
     /// What each level made, from the first.
     pub(crate) levels: Vec<LevelGlobals>,
     /// What the polish of the last level goes by.
@@ -65,6 +70,7 @@ impl Globals {
             usual_spacings: [None; PASSES],
             evenness: None,
             usual_point: None,
+            field: None,
             levels: Vec::new(),
             polish: PolishGlobals::default(),
         }

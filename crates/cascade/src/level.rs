@@ -2,9 +2,10 @@
 
 use super::globals::Globals;
 use super::measured::Reference;
+use super::part::Within;
 use super::patches::Patches;
 use super::plan::Quality;
-use super::polish::{Sizes, polish};
+use super::polish::{Polish, Sizes};
 use super::runner::{FeatureTable, LevelInput, LevelOutput, LevelRunner};
 use super::share::{Neighbourhoods, Spread, sample};
 use super::skip::SkipNeighbours;
@@ -40,12 +41,14 @@ pub(super) struct Handover {
     pub(super) previous: Option<Previous>,
     /// The cascade's input, to measure strays against; none before the first level, whose input it is.
     pub(super) reference: Option<Reference>,
+    /// Points of the last level's result that lie just outside of what was wanted of a part.
+    pub(super) rim: Vec<Point>,
 }
 
 impl Handover {
     /// The cascade's input, to its first level.
     pub(super) fn input(points: Vec<Point>) -> Self {
-        Self { points, local: None, previous: None, reference: None }
+        Self { points, local: None, previous: None, reference: None, rim: Vec::new() }
     }
 }
 
@@ -62,20 +65,26 @@ pub(super) struct Run<'a> {
     pub(super) options: &'a CascadeOptions,
     pub(super) runner: &'a dyn LevelRunner,
     pub(super) observer: &'a dyn Observer,
+    /// Where the input is a part of a cloud, which of it is wanted.
+    pub(super) part: Option<&'a Within<'a>>,
 }
 
 impl Level {
     /// Runs the level on what the one before it gave.
     pub(super) fn run(
         self,
-        Handover { points, local, previous, reference }: Handover,
+        Handover { points, local, previous, reference, .. }: Handover,
         run: &Run<'_>,
         globals: &mut Globals,
     ) -> Result<Handover, CascadeError> {
         let Self { number, size, last } = self;
-        let Run { options, runner, observer } = *run;
+        let Run { options, runner, observer, part } = *run;
+        let size = part.map_or(size, |part| part.size_of_level(points.len(), number, last));
         let neighbourhoods = match (&reference, options.spread) {
-            (None, Spread::Neighbourhood) => Some(Neighbourhoods::of(&points, &mut globals.usual_point)?),
+            (None, Spread::Neighbourhood) => {
+                let field = globals.field.clone();
+                Some(Neighbourhoods::of(&points, &mut globals.usual_point, field.as_deref())?)
+            }
             _ => None,
         };
         let local = local.or_else(|| neighbourhoods.as_ref().map(|of| of.spacing.clone()));
@@ -124,7 +133,7 @@ impl Level {
             wanted,
             least: share(ENOUGH),
         };
-        let merged = without_strays(&made, &limits, &reference, &mut globals.levels[number]);
+        let mut merged = without_strays(&made, &limits, &reference, &mut globals.levels[number]);
         drop((made, local));
         if merged.points.len() < share(FEWEST) {
             let why = "it made points that are not finite; the model is unusable".into();
@@ -136,21 +145,32 @@ impl Level {
         if observer.cancelled() {
             return Err(CascadeError::Cancelled);
         }
+        if let (Some(part), true) = (part, last) {
+            part.trim(&mut merged, &reference.input.spacing, number + 1);
+        }
         if last && options.polish {
-            let sizes = Sizes { full: doubled.max(size), size };
-            let points = polish(merged, sizes, reference, &mut globals.polish, &mut random, observer)?;
-            return Ok(Handover { points, local: None, previous: None, reference: None });
+            let sizes = Sizes { full: doubled.max(size), size: part.map_or(size, |part| part.unsettled()) };
+            let polish = Polish { sizes, part, observer };
+            let (points, rim) = polish.run(merged, reference, &mut globals.polish, &mut random)?;
+            return Ok(Handover { rim, ..Handover::input(points) });
         }
         let local = reference.local(&merged.nearest);
-        let merged = merged.points;
-        let first = random.below(merged.len() as u64) as usize;
-        let mut kept = sample(&merged, local.as_deref(), size.min(merged.len()), first);
+        if let (Some(part), true) = (part, last) {
+            let (points, rim) = part.choose(&merged.points, local)?;
+            return Ok(Handover { rim, ..Handover::input(points) });
+        }
+        let first = random.below(merged.points.len() as u64) as usize;
+        let mut kept = sample(&merged.points, local.as_deref(), size.min(merged.points.len()), first);
         if !last {
             // The order means nothing to the next level, and patch by patch neighbours are near in memory.
             kept.sort_unstable();
         }
+        if let Some(part) = part {
+            part.keep_near(&mut kept, &merged, &reference.input.spacing, number + 1);
+        }
+        let merged = merged.points;
         let local = local.map(|local| kept.iter().map(|&i| local[i as usize]).collect());
         let points = kept.iter().map(|&i| merged[i as usize]).collect();
-        Ok(Handover { points, local, previous, reference: (!last).then_some(reference) })
+        Ok(Handover { local, previous, reference: (!last).then_some(reference), ..Handover::input(points) })
     }
 }

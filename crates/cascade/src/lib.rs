@@ -41,6 +41,7 @@ mod input;
 mod level;
 mod measured;
 mod observer;
+mod part;
 mod patches;
 mod patchwise;
 mod plan;
@@ -57,6 +58,7 @@ pub use confidence::confidence;
 pub use fake::Fake;
 pub use input::distinct;
 pub use observer::{Observer, Silent, Stage};
+pub use part::{Part, Survey, UpsampledPart, Whole, WholeError, halo, upsample_part};
 pub use patches::Patches;
 pub use patchwise::{OnDemand, Patchwise, Sessions, Workspace};
 pub use plan::{MAX_RATIO, Quality, Target};
@@ -250,7 +252,7 @@ pub fn upsample(
     options.check()?;
     let input = Input::prepare(positions)?;
     let mut globals = Globals::new(input.frame);
-    cascade(input, target, &Run { options, runner, observer }, &mut globals)
+    cascade(input, target, &Run { options, runner, observer, part: None }, &mut globals)
 }
 
 /// Runs all levels. Takes the statistics that `globals` has, and fills in the others.

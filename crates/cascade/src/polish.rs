@@ -15,12 +15,14 @@ use super::balance::{SURPLUS, Shares, balanced};
 use super::border::Borders;
 use super::globals::{PolishGlobals, once};
 use super::measured::{Measured, Reference};
+use super::part::Within;
 use super::share::{Neighbourhoods, sample};
 use super::strays::Kept;
 use super::{CascadeError, Observer, check_count};
 use densecloud_cloud::Point;
 use densecloud_geometry::{
-    KdTree, Neighbour, Reach, Rng, Walk, cell_area, indices, normal, project_to_surface,
+    KdTree, Neighbour, Reach, Rng, Walk, cell_area, farthest_point_sampling_beside, indices, normal,
+    project_to_surface,
 };
 
 /// Neighbours that a point shares midpoints with: the ring around it, and some.
@@ -60,62 +62,107 @@ pub(super) struct Sizes {
     pub(super) size: usize,
 }
 
-/// Chooses points spread over what the unit made, evenly in the spacing of the input at each where that has neighbourhoods,
-/// ordered as by farthest point sampling. Takes what it is given, to free each part when its last use is over.
-pub(super) fn polish(
-    Kept { points: mut made, mut nearest }: Kept,
-    Sizes { full, size }: Sizes,
-    Reference { input, borders, neighbourhoods }: Reference,
-    globals: &mut PolishGlobals,
-    random: &mut Rng,
-    observer: &dyn Observer,
-) -> Result<Vec<Point>, CascadeError> {
-    let go_on = || if observer.cancelled() { Err(CascadeError::Cancelled) } else { Ok(()) };
+/// A polish about to run.
+#[derive(Clone, Copy)]
+pub(super) struct Polish<'a> {
+    pub(super) sizes: Sizes,
+    /// Where the input is a part of a cloud, which of it is wanted.
+    pub(super) part: Option<&'a Within<'a>>,
+    pub(super) observer: &'a dyn Observer,
+}
 
-    // From here on neighbours in space are neighbours in memory.
-    let (tree, sorted, order) = KdTree::sorted(&made);
-    nearest = order.iter().map(|&i| nearest[i as usize]).collect();
-    drop((std::mem::replace(&mut made, sorted), order));
-    let anchors = Anchors::new(&input, &made, &tree, &mut globals.trust);
-    let surface = Surface { input: &input, borders: &borders, trust: anchors.trust };
-    let Candidates { points: candidates, local, areas } = if made.len() > full + full / 10 {
-        let first = random.below(made.len() as u64) as usize;
-        let local = neighbourhoods.as_ref().map(|of| of.spacing_at(&nearest));
-        let mut kept = sample(&made, local.as_deref(), full, first);
-        drop(local);
-        kept.par_sort_unstable();
-        let points: Vec<Point> = kept.iter().map(|&i| made[i as usize]).collect();
-        nearest = kept.iter().map(|&i| nearest[i as usize]).collect();
-        let sample = Sample { tree: &KdTree::new(&points), points: &points, nearest: &nearest };
-        Candidates::of(sample, size, surface, neighbourhoods, globals)
-    } else {
-        let sample = Sample { tree: &tree, points: &made, nearest: &nearest };
-        Candidates::of(sample, size, surface, neighbourhoods, globals)
-    };
-    drop((nearest, borders));
-    check_count(candidates.len())?;
-    go_on()?;
-    let first = random.below(candidates.len() as u64) as usize;
-    let count = ((SURPLUS * size as f64) as usize).min(candidates.len());
-    let sampled = sample(&candidates, local.as_deref(), count, first);
-    drop(local);
-    let shares = Shares { input: &input, areas: &areas, trust: anchors.trust };
-    let order = balanced(&candidates, &sampled, size, shares, globals);
+impl Polish<'_> {
+    /// Chooses points spread over what the unit made, evenly in the spacing of the input at each where that has
+    /// neighbourhoods, ordered as by farthest point sampling; of a part, also those just outside of what is wanted of it.
+    /// Takes what it is given, to free each part when its last use is over.
+    pub(super) fn run(
+        self,
+        Kept { points: mut made, mut nearest }: Kept,
+        Reference { input, borders, neighbourhoods }: Reference,
+        globals: &mut PolishGlobals,
+        random: &mut Rng,
+    ) -> Result<(Vec<Point>, Vec<Point>), CascadeError> {
+        let Sizes { full, size } = self.sizes;
+        // From here on neighbours in space are neighbours in memory.
+        let (tree, sorted, order) = KdTree::sorted(&made);
+        nearest = order.iter().map(|&i| nearest[i as usize]).collect();
+        drop((std::mem::replace(&mut made, sorted), order));
+        let anchors = Anchors::new(&input, &made, &tree, &mut globals.trust);
+        let surface = Surface { input: &input, borders: &borders, trust: anchors.trust };
+        let mut candidates = if made.len() > full + full / 10 {
+            let first = random.below(made.len() as u64) as usize;
+            let local = neighbourhoods.as_ref().map(|of| of.spacing_at(&nearest));
+            let mut kept = sample(&made, local.as_deref(), full, first);
+            drop(local);
+            kept.par_sort_unstable();
+            let points: Vec<Point> = kept.iter().map(|&i| made[i as usize]).collect();
+            nearest = kept.iter().map(|&i| nearest[i as usize]).collect();
+            let sample = Sample { tree: &KdTree::new(&points), points: &points, nearest: &nearest };
+            Candidates::of(sample, size, surface, neighbourhoods, globals)
+        } else {
+            let sample = Sample { tree: &tree, points: &made, nearest: &nearest };
+            Candidates::of(sample, size, surface, neighbourhoods, globals)
+        };
+        drop((nearest, borders));
+        if let Some(part) = self.part {
+            candidates.keep_wanted(part)?;
+        }
+        check_count(candidates.points.len())?;
+        self.go_on()?;
+        let settled = self.part.map_or_else(Vec::new, Within::settled);
+        let local = candidates.local.take();
+        let shares =
+            Shares { input: &input, areas: &candidates.areas, trust: anchors.trust, part: self.part };
+        let order = self.choose(&candidates.points, local, shares, globals, random);
 
-    let mut chosen = order.clone();
-    chosen.par_sort_unstable();
-    let mut dense: Vec<Point> = chosen.par_iter().map(|&i| candidates[i as usize]).collect();
-    let count = candidates.len();
-    drop((candidates, sampled, areas));
-    go_on()?;
-    relax(&mut dense);
-    go_on()?;
-    project_to_surface(&mut dense, &made, &tree);
-    anchors.draw(&mut dense);
+        let mut chosen = order.clone();
+        chosen.par_sort_unstable();
+        let mut dense: Vec<Point> = chosen.par_iter().map(|&i| candidates.points[i as usize]).collect();
+        dense.extend_from_slice(&settled);
+        let count = candidates.points.len();
+        drop(candidates);
+        self.go_on()?;
+        relax(&mut dense);
+        self.go_on()?;
+        project_to_surface(&mut dense, &made, &tree);
+        anchors.draw(&mut dense);
 
-    let mut place_of = vec![0; count];
-    chosen.iter().zip(0_u32..).for_each(|(&i, place)| place_of[i as usize] = place);
-    Ok(order.par_iter().map(|&i| dense[place_of[i as usize] as usize]).collect())
+        let settled = dense.split_off(chosen.len());
+        let mut place_of = vec![0; count];
+        chosen.iter().zip(0_u32..).for_each(|(&i, place)| place_of[i as usize] = place);
+        let points: Vec<Point> = order.par_iter().map(|&i| dense[place_of[i as usize] as usize]).collect();
+        Ok(match self.part {
+            Some(part) => part.joined(points, settled),
+            None => (points, Vec::new()),
+        })
+    }
+
+    fn go_on(&self) -> Result<(), CascadeError> {
+        if self.observer.cancelled() { Err(CascadeError::Cancelled) } else { Ok(()) }
+    }
+
+    /// Which of the candidates are taken, in the order of a farthest point sampling; of a part, beside its sites.
+    fn choose(
+        &self,
+        candidates: &[Point],
+        local: Option<Vec<f32>>,
+        shares: Shares<'_>,
+        globals: &mut PolishGlobals,
+        random: &mut Rng,
+    ) -> Vec<u32> {
+        let size = self.sizes.size;
+        let count = ((SURPLUS * size as f64) as usize).min(candidates.len());
+        let sampled = if let Some(part) = self.part {
+            let spacing = local.unwrap_or_else(|| vec![1.0; candidates.len()]);
+            farthest_point_sampling_beside(candidates, &spacing, count, &part.settled())
+        } else {
+            let first = random.below(candidates.len() as u64) as usize;
+            let sampled = sample(candidates, local.as_deref(), count, first);
+            drop(local);
+            sampled
+        };
+        balanced(candidates, &sampled, size, shares, globals)
+    }
 }
 
 /// What the result is chosen from.
@@ -131,6 +178,24 @@ struct Candidates {
 }
 
 impl Candidates {
+    /// Keeps those that a part may choose.
+    fn keep_wanted(&mut self, part: &Within<'_>) -> Result<(), CascadeError> {
+        let spacing = self.local.as_deref();
+        let wanted: Vec<bool> = self
+            .points
+            .par_iter()
+            .enumerate()
+            .map(|(i, p)| part.may_choose(*p, spacing.map(|s| s[i])))
+            .collect();
+        let mut of = wanted.iter();
+        self.points.retain(|_| *of.next().expect("one each"));
+        if let Some(local) = &mut self.local {
+            let mut of = wanted.iter();
+            local.retain(|_| *of.next().expect("one each"));
+        }
+        part.suffices(self.points.len())
+    }
+
     fn of(
         sample: Sample<'_>,
         size: usize,
@@ -182,7 +247,7 @@ impl Candidates {
 
 /// The nearest others of a point that lie on the same surface.
 #[derive(Clone, Copy, Default)]
-struct Ring {
+pub(crate) struct Ring {
     others: [u32; NEIGHBOURS],
     count: u8,
 }
@@ -204,7 +269,7 @@ impl Ring {
 }
 
 /// The ring of each of `points`, of which `tree` is built; best when they lie in the order of a tree.
-fn rings(tree: &KdTree, points: &[Point]) -> Vec<Ring> {
+pub(crate) fn rings(tree: &KdTree, points: &[Point]) -> Vec<Ring> {
     surroundings(tree, points, |_, _, _| ()).0
 }
 
@@ -350,7 +415,7 @@ fn middle(p: Point, q: Point) -> Point {
 }
 
 /// Of every point and its ring, each pair once; and the mean of their local spacings, where there are such.
-fn midpoints(points: &[Point], rings: &[Ring], local: Option<&[f32]>) -> (Vec<Point>, Vec<f32>) {
+pub(crate) fn midpoints(points: &[Point], rings: &[Ring], local: Option<&[f32]>) -> (Vec<Point>, Vec<f32>) {
     let pairs = |i: usize| {
         let others = rings[i].others().iter().map(|&j| j as usize);
         others.filter(move |&j| i < j || !rings[j].others().contains(&(i as u32))).map(move |j| (i, j))
@@ -382,7 +447,8 @@ mod tests {
     fn polished(made: &[Point], full: usize, size: usize, reference: Reference) -> Vec<Point> {
         let (mut globals, mut random) = (PolishGlobals::default(), Rng::new(5));
         let made = Kept { points: made.to_vec(), nearest: nearest(made, &reference) };
-        polish(made, Sizes { full, size }, reference, &mut globals, &mut random, &Silent).unwrap()
+        let polish = Polish { sizes: Sizes { full, size }, part: None, observer: &Silent };
+        polish.run(made, reference, &mut globals, &mut random).unwrap().0
     }
 
     /// A square of unit side, at some height.

@@ -10,9 +10,10 @@ use std::str::FromStr;
 use rayon::prelude::*;
 
 use super::globals::{once, usual_logarithm};
+use super::part::{Field, stands_for_others};
 use super::{CascadeError, filled};
 use densecloud_cloud::Point;
-use densecloud_geometry::{KdTree, Walk, farthest_point_sampling, scaled_farthest_point_sampling};
+use densecloud_geometry::{KdTree, Walk, farthest_point_sampling, indices, scaled_farthest_point_sampling};
 
 /// Where the points of a result go.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -46,9 +47,9 @@ impl FromStr for Spread {
 }
 
 /// Points of a neighbourhood that is counted at once.
-const REGION: usize = 32;
+pub(super) const REGION: usize = 32;
 /// Every so many points one stands for them on the next coarser scale.
-const COARSER: usize = 8;
+pub(super) const COARSER: usize = 8;
 /// Points of the coarser scale that tell what is usual about a point.
 const NEAREST: usize = 4;
 /// Logarithms of areas that differ from what is usual about them by less than this differ by chance, on the finest scale:
@@ -73,8 +74,17 @@ struct Scale {
     /// [`REGION`] or fewer indices for each point.
     members: Vec<u32>,
     row: usize,
-    /// None where there are no more points than a neighbourhood has.
-    coarser: Option<Box<Coarser>>,
+    about: About,
+}
+
+/// What is usual about the points of a scale.
+enum About {
+    /// The same about all: there are hardly more points than a neighbourhood has.
+    Nothing,
+    /// What a coarser scale says.
+    Coarser(Box<Coarser>),
+    /// What is known of the whole, about each point: the logarithm of the area that a point has, beside the usual one.
+    Known(Vec<f32>),
 }
 
 /// A part of the points, as dense everywhere in proportion.
@@ -87,15 +97,22 @@ struct Coarser {
 }
 
 impl Neighbourhoods {
-    /// Trees and neighbours of `points`: O(n log n); 170 bytes a point.
+    /// Trees and neighbours of `points`: O(n log n); 170 bytes a point. Where they are a part, the whole's `field` says what
+    /// is usual about them.
     ///
     /// # Errors
     /// There is no memory for them.
-    pub(super) fn of(points: &[Point], usual: &mut Option<f32>) -> Result<Self, CascadeError> {
-        let scale = Scale::of(points, &KdTree::new(points))?;
-        let area = |(i, near): (usize, &[u32])| area(points, points[i], near);
-        let areas: Vec<f32> = scale.members.par_chunks_exact(scale.row).enumerate().map(area).collect();
-        let spacing = scale.spacing(&areas, usual);
+    pub(super) fn of(
+        points: &[Point],
+        usual: &mut Option<f32>,
+        field: Option<&Field>,
+    ) -> Result<Self, CascadeError> {
+        let tree = KdTree::new(points);
+        let scale = match field {
+            None => Scale::of(points, &tree)?,
+            Some(field) => Scale::of_part(points, &tree, field)?,
+        };
+        let spacing = scale.spacing(&scale.areas(points), usual);
         Ok(Self { scale, spacing })
     }
 
@@ -114,14 +131,41 @@ impl Neighbourhoods {
 impl Scale {
     /// `tree` must be built from `points`.
     fn of(points: &[Point], tree: &KdTree) -> Result<Self, CascadeError> {
+        let about = if points.len() >= COARSER * REGION {
+            About::Coarser(Box::new(Coarser::of(tree, points)?))
+        } else {
+            About::Nothing
+        };
+        Self::with(points, tree, about)
+    }
+
+    /// As [`Scale::of`], of a part: on one coarser scale, and what is usual about that is known. Each decides by what lies
+    /// around a point alone, so that it is the same in every part.
+    fn of_part(points: &[Point], tree: &KdTree, field: &Field) -> Result<Self, CascadeError> {
+        let of: Vec<u32> = indices(points.len()).filter(|&i| stands_for_others(points[i as usize])).collect();
+        let about = if of.len() >= REGION {
+            let scale =
+                |few: &[Point], theirs: &KdTree| Self::with(few, theirs, About::Known(field.at(few)?));
+            About::Coarser(Box::new(Coarser::with(tree, points, of, scale)?))
+        } else {
+            About::Known(field.at(points)?)
+        };
+        Self::with(points, tree, about)
+    }
+
+    fn with(points: &[Point], tree: &KdTree, about: About) -> Result<Self, CascadeError> {
         let row = REGION.min(points.len());
         let mut members = filled(0_u32, row * points.len())?;
         for (&i, near) in tree.order().iter().zip(nearest_of::<REGION>(tree, points, tree.order())?) {
             members[i as usize * row..][..row].copy_from_slice(&near[..row]);
         }
-        let coarser =
-            if points.len() >= COARSER * REGION { Some(Box::new(Coarser::of(tree, points)?)) } else { None };
-        Ok(Self { members, row, coarser })
+        Ok(Self { members, row, about })
+    }
+
+    /// The area that each of the points has by the number of those about it.
+    fn areas(&self, points: &[Point]) -> Vec<f32> {
+        let area = |(i, near): (usize, &[u32])| area(points, points[i], near);
+        self.members.par_chunks_exact(self.row).enumerate().map(area).collect()
     }
 
     fn spacing(&self, areas: &[f32], usual: &mut Option<f32>) -> Vec<f32> {
@@ -135,31 +179,57 @@ impl Scale {
             (sum / members.len() as f32).max(f32::MIN_POSITIVE)
         };
         let means: Vec<f32> = self.members.par_chunks_exact(self.row).map(mean).collect();
-        let Some(coarser) = &self.coarser else {
-            return vec![once(usual, || usual_logarithm(&means)); means.len()];
+        let kept = |mean: f32, about: f32| {
+            let off = mean.ln() - about;
+            about + off * (1.0 - (chance / off).powi(2)).max(0.0)
         };
-        let theirs: Vec<f32> = coarser.of.iter().map(|&i| means[i as usize]).collect();
-        let usual = coarser.scale.logarithms(&theirs, FINER * chance, usual);
-        let kept = |(mean, nearest): (&f32, &[u32; NEAREST])| {
-            let usual = nearest.iter().map(|&i| usual[i as usize]).sum::<f32>() / NEAREST as f32;
-            let off = mean.ln() - usual;
-            usual + off * (1.0 - (chance / off).powi(2)).max(0.0)
-        };
-        means.par_iter().zip(&coarser.nearest).map(kept).collect()
+        match &self.about {
+            About::Nothing => vec![once(usual, || usual_logarithm(&means)); means.len()],
+            About::Known(known) => {
+                let usual = once(usual, || usual_logarithm(&means));
+                means.par_iter().zip(known).map(|(mean, known)| kept(*mean, usual + known)).collect()
+            }
+            About::Coarser(coarser) => {
+                let theirs: Vec<f32> = coarser.of.iter().map(|&i| means[i as usize]).collect();
+                let about = coarser.scale.logarithms(&theirs, FINER * chance, usual);
+                let mean = |near: &[u32; NEAREST]| {
+                    near.iter().map(|&i| about[i as usize]).sum::<f32>() / NEAREST as f32
+                };
+                means.par_iter().zip(&coarser.nearest).map(|(own, near)| kept(*own, mean(near))).collect()
+            }
+        }
     }
 }
 
 impl Coarser {
     fn of(tree: &KdTree, points: &[Point]) -> Result<Self, CascadeError> {
-        let of: Vec<u32> = tree.order().iter().copied().step_by(COARSER).collect();
+        let of = tree.order().iter().copied().step_by(COARSER).collect();
+        Self::with(tree, points, of, Scale::of)
+    }
+
+    fn with(
+        tree: &KdTree,
+        points: &[Point],
+        of: Vec<u32>,
+        scale: impl Fn(&[Point], &KdTree) -> Result<Scale, CascadeError>,
+    ) -> Result<Self, CascadeError> {
         let few: Vec<Point> = of.iter().map(|&i| points[i as usize]).collect();
         let theirs = KdTree::new(&few);
         let mut nearest = filled([0; NEAREST], points.len())?;
         for (&i, near) in tree.order().iter().zip(nearest_of::<NEAREST>(&theirs, points, tree.order())?) {
             nearest[i as usize] = near;
         }
-        Ok(Self { of, nearest, scale: Scale::of(&few, &theirs)? })
+        Ok(Self { of, nearest, scale: scale(&few, &theirs)? })
     }
+}
+
+/// The logarithm of the area that each of a sample's points has, on scales two coarser than those of the whole that it is of,
+/// and the usual one.
+pub(super) fn coarse_logarithms(sample: &[Point]) -> Result<(Vec<f32>, f32), CascadeError> {
+    let scale = Scale::of(sample, &KdTree::new(sample))?;
+    let mut usual = None;
+    let logarithms = scale.logarithms(&scale.areas(sample), FINER * FINER * CHANCE, &mut usual);
+    Ok((logarithms, usual.unwrap_or_default()))
 }
 
 /// The `K` points of `tree` nearest to each of `points`, in that `order`; where there are fewer, the first one again.
@@ -225,8 +295,9 @@ mod tests {
     fn chance_is_no_density() {
         for seed in 0..5 {
             let mut random = Rng::new(seed);
-            let spacing =
-                Neighbourhoods::of(&square(2000, [0.0; 2], 1.0, &mut random), &mut None).unwrap().spacing;
+            let spacing = Neighbourhoods::of(&square(2000, [0.0; 2], 1.0, &mut random), &mut None, None)
+                .unwrap()
+                .spacing;
             let varied = spacing.iter().filter(|s| (**s / mean(&spacing) - 1.0).abs() > 0.03).count();
             // Corners look thinner than they are.
             assert!(varied < 100, "{varied} of 2000 spacings vary, seed {seed}");
@@ -238,13 +309,13 @@ mod tests {
         let mut random = Rng::new(3);
         let mut points = square(800, [0.0; 2], 1.0, &mut random);
         points.extend(square(800, [3.0; 2], 10.0, &mut random));
-        let spacing = Neighbourhoods::of(&points, &mut None).unwrap().spacing;
+        let spacing = Neighbourhoods::of(&points, &mut None, None).unwrap().spacing;
         let ratio = mean(&spacing[800..]) / mean(&spacing[..800]);
         assert!((9.0..10.5).contains(&ratio), "{ratio} of 10");
         // A dense part no larger than the finest neighbourhood.
         points.truncate(800);
         points.extend(square(60, [0.5; 2], 0.03, &mut random));
-        let spacing = Neighbourhoods::of(&points, &mut None).unwrap().spacing;
+        let spacing = Neighbourhoods::of(&points, &mut None, None).unwrap().spacing;
         let ratio = mean(&spacing[..800]) / mean(&spacing[800..]);
         assert!(ratio > 3.5, "{ratio} of 9");
     }
@@ -253,7 +324,7 @@ mod tests {
     fn areas_of_nothing_and_few_points_give_a_spacing() {
         for n in [1, 2, 20, 255, 256, 300] {
             let points = square(n, [0.0; 2], 1.0, &mut Rng::new(n as u64));
-            let neighbourhoods = Neighbourhoods::of(&points, &mut None).unwrap();
+            let neighbourhoods = Neighbourhoods::of(&points, &mut None, None).unwrap();
             for spacing in [&neighbourhoods.spacing, &neighbourhoods.spacing_of(&vec![0.0; n], &mut None)] {
                 assert!(spacing.iter().all(|s| s.is_finite() && *s > 0.0), "{n} points");
             }

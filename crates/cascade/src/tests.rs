@@ -436,7 +436,7 @@ fn with_globals(
     let (options, runner) = (CascadeOptions::default(), runner());
     let input = Input::prepare(cloud).unwrap();
     let mut globals = known.cloned().unwrap_or_else(|| Globals::new(input.frame));
-    let run = Run { options: &options, runner: &runner, observer: &Silent };
+    let run = Run { options: &options, runner: &runner, observer: &Silent, part: None };
     let dense = cascade(input, Target::Ratio(4.0), &run, &mut globals)?;
     Ok((dense.positions, globals))
 }

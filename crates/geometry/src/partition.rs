@@ -43,8 +43,7 @@ pub struct NoPartition;
 
 impl Partition {
     /// Cuts space into `cells` boxes (1 at least) by a sample of finite positions: along the longest side of what is in a
-    /// box, so that both halves have points in proportion to the cells that they become. Where points coincide there are
-    /// fewer boxes. O(n log cells).
+    /// box, near the middle, where the points are thin. Where points coincide there are fewer boxes. O(n log n log cells).
     #[must_use]
     pub fn cut(mut sample: Vec<Position>, cells: usize) -> Self {
         let mut splits = Vec::new();
@@ -149,38 +148,56 @@ fn split(points: &mut [Position], cells: usize, splits: &mut Vec<Split>, count: 
     if let Some((axis, at, lower)) = (cells > 1).then(|| halves(points, cells)).flatten() {
         let node = splits.len();
         splits.push(Split::Cell(0));
+        let share = lower as f64 / points.len() as f64;
+        let few = ((share * cells as f64).round() as usize).clamp(1, cells - 1);
         let (below, above) = points.split_at_mut(lower);
-        split(below, cells / 2, splits, count);
+        split(below, few, splits, count);
         splits[node] = Split::At { axis: axis as u8, at, upper: splits.len() as u32 };
-        split(above, cells - cells / 2, splits, count);
+        split(above, cells - few, splits, count);
         return;
     }
     splits.push(Split::Cell(*count));
     *count += 1;
 }
 
+/// The share of the points on either side that does not count for how long a side is: a few outliers must not decide.
+const TAIL: f64 = 0.05;
+/// How far from the middle a plane may lie, as a share of the points, to lie where they are thin: not along a wall.
+const ASIDE: f64 = 0.07;
+/// Points that tell how thin they are, as a share.
+const WINDOW: f64 = 0.01;
+
+/// Sides that are this share of the longest one may be cut, too.
+const LONG: f64 = 0.3;
+
 /// Sorts the points into those below a plane and the others: the axis, where the plane is, and how many are below. None
 /// where all points are the same.
 fn halves(points: &mut [Position], cells: usize) -> Option<(usize, f64, usize)> {
-    let side = |a: usize| {
-        let of = |f: fn(f64, f64) -> f64, start| points.iter().map(|p| p[a]).fold(start, f);
-        (of(f64::max, f64::NEG_INFINITY) - of(f64::min, f64::INFINITY)).max(0.0)
-    };
-    let sides = [side(0), side(1), side(2)];
-    let axis = (1..3).fold(0, |best, a| if sides[a] > sides[best] { a } else { best });
-    if points.len() < 2 || sides[axis] <= 0.0 {
-        return None;
-    }
-    let middle = (points.len() * (cells / 2) / cells).clamp(1, points.len() - 1);
-    points.select_nth_unstable_by(middle, |p, q| p[axis].total_cmp(&q[axis]));
-    let mut at = points[middle][axis];
-    let lowest = points.iter().map(|p| p[axis]).fold(f64::INFINITY, f64::min);
-    if at <= lowest {
-        // Half of them have the lowest coordinate: all others are above.
-        at = points.iter().map(|p| p[axis]).filter(|c| *c > lowest).fold(f64::INFINITY, f64::min);
-    }
-    points.sort_unstable_by(|p, q| (p[axis] >= at).cmp(&(q[axis] >= at)).then(p[axis].total_cmp(&q[axis])));
-    Some((axis, at, points.partition_point(|p| p[axis] < at)))
+    let last = points.len().checked_sub(1).filter(|last| *last > 0)?;
+    let rank = |share: f64| (share * last as f64).round() as usize;
+    let sorted: [Vec<f64>; 3] = std::array::from_fn(|a| {
+        let mut all: Vec<f64> = points.iter().map(|p| p[a]).collect();
+        all.sort_unstable_by(f64::total_cmp);
+        all
+    });
+    let sides = |tail: f64| sorted.each_ref().map(|all| all[last - rank(tail)] - all[rank(tail)]);
+    let longest = |sides: [f64; 3]| sides.into_iter().fold(0.0, f64::max);
+    let sides = if longest(sides(TAIL)) > 0.0 { sides(TAIL) } else { sides(0.0) };
+    let (middle, window) = ((cells / 2) as f64 / cells as f64, rank(WINDOW).max(1));
+    let span = |axis: usize, from: usize| sorted[axis][(from + window).min(last)] - sorted[axis][from];
+    let ranks = rank((middle - ASIDE).max(0.0))..=rank((middle + ASIDE).min(1.0));
+    let axes = (0..3).filter(|a| sides[*a] > 0.0 && sides[*a] >= LONG * longest(sides));
+    let places = axes.flat_map(|axis| ranks.clone().map(move |from| (axis, from)));
+    // Of equally thin places the first.
+    let thin =
+        |a: &(usize, usize), b: &(usize, usize)| span(a.0, a.1).total_cmp(&span(b.0, b.1)).then(b.cmp(a));
+    let (axis, from) = places.max_by(thin)?;
+    let (all, lowest) = (&sorted[axis], sorted[axis][0]);
+    let plane = all[from] + 0.5 * span(axis, from);
+    // Where the lowest coordinate is that of most points, the next higher one.
+    let plane = if plane > lowest { plane } else { *all.iter().find(|c| **c > lowest)? };
+    points.sort_unstable_by(|p, q| p[axis].total_cmp(&q[axis]));
+    Some((axis, plane, points.partition_point(|p| p[axis] < plane)))
 }
 
 /// Walks over one node and all below it, from `at` on.
@@ -258,14 +275,37 @@ mod tests {
     }
 
     #[test]
-    fn boxes_have_as_many_points_each() {
+    fn boxes_have_about_as_many_points_each() {
         for cells in [1, 2, 3, 7, 60] {
             let points = random(6000, 3, false);
             let partition = Partition::cut(points.clone(), cells);
             let mut counts = vec![0_usize; partition.len()];
             points.iter().for_each(|p| counts[partition.cell_of(*p) as usize] += 1);
             let even = 6000 / cells;
-            assert!(counts.len() == cells && counts.iter().all(|c| c.abs_diff(even) <= 8), "{counts:?}");
+            assert_eq!(counts.len(), cells);
+            assert!(
+                counts.iter().all(|c| (6 * even..=15 * even).contains(&(10 * c))),
+                "{counts:?} of {even}"
+            );
+        }
+    }
+
+    #[test]
+    fn borders_keep_off_walls_and_do_not_heed_outliers() {
+        // A floor with noise and a wall in its middle, a few points far above.
+        let mut rng = Rng::new(4);
+        let mut points: Vec<Position> =
+            (0..4000).map(|_| [10.0 * rng.f64(), 10.0 * rng.f64(), 0.01 * rng.f64()]).collect();
+        points.extend((0..2000).map(|_| [5.0 + 0.01 * rng.f64(), 10.0 * rng.f64(), 3.0 * rng.f64()]));
+        points.extend((0..20).map(|i| [1.0, 1.0, 100.0 + f64::from(i)]));
+        for cells in [2, 4] {
+            let partition = Partition::cut(points.clone(), cells);
+            let near = |p: &&Position| partition.border_distance(**p) < 0.02;
+            let share = points.iter().filter(near).count() as f64 / points.len() as f64;
+            assert!(
+                share < 0.02 * cells as f64,
+                "{share} of the points lie along the borders of {cells} cells"
+            );
         }
     }
 

@@ -1,0 +1,194 @@
+//! What of a part's results is wanted: the points of its cell, those along the border by the common rule.
+
+use std::collections::HashSet;
+
+use super::Part;
+use super::sites::{BAND, Site, Sparing, sites};
+use crate::CascadeError;
+use crate::apart::joined;
+use crate::strays::Kept;
+use densecloud_cloud::{Frame, Point};
+use densecloud_geometry::{KdTree, Partition, farthest_point_sampling_beside};
+use rayon::prelude::*;
+
+/// The radius of sites, in the spacing of the result: so they are as dense as what farthest point sampling chooses.
+const RADIUS: f32 = 0.78;
+/// Other points lie no nearer to the border than this many radii: those of the other side do not either.
+const CLEAR: f32 = 0.5;
+/// The radius of a patch, in the spacing of its points, and some.
+const PATCH: f32 = 12.0;
+/// Points that a patch sees as neighbours must be right to this depth, in the same unit.
+const AROUND: f32 = 8.0;
+/// What the last step looks at around a point, in the spacing of the input.
+const POLISHED: f32 = 4.0;
+/// The mean distance to the eight nearest others, where points are even, in the root of the area that each has.
+const EIGHT: f32 = 1.2;
+
+/// How far beyond its cell the input of a level is needed, in the spacing of the cascade's input. `level` may be one past
+/// the last: what comes out of that.
+pub(super) fn margin(level: usize, levels: usize) -> f32 {
+    let spacing = |level: usize| 0.5_f32.powi(level as i32).sqrt();
+    match levels - level {
+        0 => POLISHED,
+        1 => POLISHED + PATCH * spacing(level),
+        _ => margin(level + 1, levels) + AROUND * spacing(level),
+    }
+}
+
+/// A part's cell, and the points of the result that are settled along its border.
+pub(crate) struct Within<'a> {
+    partition: &'a Partition,
+    cell: u32,
+    frame: Frame,
+    levels: usize,
+    ratio: f64,
+    sparing: Sparing,
+    /// Points of the result in the cell.
+    size: usize,
+    /// Sites in the cell.
+    inside: Vec<Point>,
+    /// Sites just outside.
+    outside: Vec<Point>,
+}
+
+impl<'a> Within<'a> {
+    /// `size` points are wanted in the cell, `ratio` for each of its points. `input`: all points of the part, and the spacing
+    /// at each.
+    pub(super) fn new(
+        part: &Part<'a>,
+        frame: Frame,
+        ratio: f64,
+        size: usize,
+        levels: usize,
+        (points, spacing): (&[Point], &[f32]),
+    ) -> Self {
+        let sparing = Sparing { ratio: part.whole.ratio(), radius: RADIUS };
+        let mut within = Self {
+            partition: part.partition,
+            cell: part.cell,
+            frame,
+            levels,
+            ratio,
+            sparing,
+            size,
+            inside: Vec::new(),
+            outside: Vec::new(),
+        };
+        let border = |p: Point| within.border(p);
+        let found = sites(points, spacing, sparing, &border);
+        let near = |site: &Site| within.distance(site.at) <= 2.0 * BAND * sparing.radius_at(site.spacing);
+        let (inside, outside): (Vec<Site>, Vec<Site>) =
+            found.into_iter().filter(near).partition(|site| within.belongs(site.at));
+        within.inside = inside.iter().map(|site| site.at).take(size).collect();
+        within.outside = outside.iter().map(|site| site.at).collect();
+        within
+    }
+
+    pub(crate) fn belongs(&self, p: Point) -> bool {
+        self.partition.cell_of(self.frame.to_world(p)) == self.cell
+    }
+
+    /// How far a point is from the border of the cell that it is in.
+    fn border(&self, p: Point) -> f32 {
+        (self.partition.border_distance(self.frame.to_world(p)) / self.frame.scale()) as f32
+    }
+
+    /// How far a point is from the part's cell.
+    fn distance(&self, p: Point) -> f32 {
+        (self.partition.distance(self.cell, self.frame.to_world(p)) / self.frame.scale()) as f32
+    }
+
+    /// Points after a level whose input has `points`.
+    pub(crate) fn size_of_level(&self, points: usize, level: usize, last: bool) -> usize {
+        if last {
+            (self.ratio * points as f64 / 2_f64.powi(level as i32)).round() as usize
+        } else {
+            2 * points
+        }
+    }
+
+    /// Points of the result that are not settled.
+    pub(crate) fn unsettled(&self) -> usize {
+        self.size - self.inside.len()
+    }
+
+    /// The sites: those in the cell, then those outside.
+    pub(crate) fn settled(&self) -> Vec<Point> {
+        [self.inside.as_slice(), &self.outside].concat()
+    }
+
+    /// The sites in the cell.
+    pub(crate) fn settled_inside(&self) -> &[Point] {
+        &self.inside
+    }
+
+    /// Leaves what a level needs; `spacing`: of the input, as a mean distance to the nearest others.
+    pub(crate) fn trim(&self, kept: &mut Kept, spacing: &[f32], level: usize) {
+        let mut all: Vec<u32> = (0..kept.points.len() as u32).collect();
+        self.keep_near(&mut all, kept, spacing, level);
+        kept.points = all.iter().map(|&i| kept.points[i as usize]).collect();
+        kept.nearest = all.iter().map(|&i| kept.nearest[i as usize]).collect();
+    }
+
+    /// As [`trim`](Self::trim), for indices of the points.
+    pub(crate) fn keep_near(&self, indices: &mut Vec<u32>, merged: &Kept, spacing: &[f32], level: usize) {
+        let margin = margin(level, self.levels) / EIGHT;
+        let is_near = |&i: &u32| {
+            let spacing = spacing[merged.nearest[i as usize] as usize];
+            self.distance(merged.points[i as usize]) <= margin * spacing
+        };
+        let near: Vec<bool> = indices.par_iter().map(is_near).collect();
+        let mut of = near.into_iter();
+        indices.retain(|_| of.next().expect("one each"));
+    }
+
+    /// Whether a point may be chosen beside the sites, where the input has this spacing.
+    pub(crate) fn may_choose(&self, p: Point, spacing: Option<f32>) -> bool {
+        let clear = spacing.map_or(0.0, |spacing| CLEAR * self.sparing.radius_at(spacing));
+        self.belongs(p) && self.border(p) >= clear
+    }
+
+    /// Whether so many candidates are enough.
+    pub(crate) fn suffices(&self, candidates: usize) -> Result<(), CascadeError> {
+        if candidates >= self.unsettled() {
+            return Ok(());
+        }
+        let needed = self.unsettled();
+        Err(CascadeError::TooFewPoints { distinct: candidates, duplicates: 0, needed })
+    }
+
+    /// The result: `chosen` points with the sites of the cell strewn among them; and the sites outside. `settled`: all sites,
+    /// where they have come to lie.
+    pub(crate) fn joined(&self, chosen: Vec<Point>, mut settled: Vec<Point>) -> (Vec<Point>, Vec<Point>) {
+        let outside = settled.split_off(self.inside.len());
+        (joined(chosen, &settled), outside)
+    }
+
+    /// Chooses the result among what the last unit made: the points nearest to the sites, and others beside them.
+    pub(crate) fn choose(
+        &self,
+        made: &[Point],
+        local: Option<Vec<f32>>,
+    ) -> Result<(Vec<Point>, Vec<Point>), CascadeError> {
+        let tree = KdTree::new(made);
+        let (mut taken, mut inside, mut outside) = (HashSet::new(), Vec::new(), Vec::new());
+        for (i, site) in self.inside.iter().chain(&self.outside).enumerate() {
+            let nearest = tree.nearest_one(*site).map(|n| n.index).filter(|i| taken.insert(*i));
+            let snapped = nearest.map(|i| made[i as usize]);
+            if i < self.inside.len() { inside.extend(snapped) } else { outside.extend(snapped) }
+        }
+        let free = |i: &usize| {
+            !taken.contains(&(*i as u32)) && self.may_choose(made[*i], local.as_ref().map(|l| l[*i]))
+        };
+        let free: Vec<usize> = (0..made.len()).filter(free).collect();
+        let missing = self.size - inside.len();
+        if free.len() < missing {
+            return Err(CascadeError::TooFewPoints { distinct: free.len(), duplicates: 0, needed: missing });
+        }
+        let points: Vec<Point> = free.iter().map(|&i| made[i]).collect();
+        let spacing: Vec<f32> = free.iter().map(|&i| local.as_ref().map_or(1.0, |l| l[i])).collect();
+        let settled = [inside.as_slice(), &outside].concat();
+        let chosen = farthest_point_sampling_beside(&points, &spacing, missing, &settled);
+        Ok((joined(chosen.iter().map(|&i| points[i as usize]).collect(), &inside), outside))
+    }
+}
