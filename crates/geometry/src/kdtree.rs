@@ -230,13 +230,14 @@ impl KdTree {
         // Most points are too far, which no branch predictor can foresee: pick the others without
         // a branch.
         let worst = best.worst();
-        let mut near = [0_usize; LEAF];
-        let mut count = 0;
-        for (place, &d) in distances[..end - start].iter().enumerate() {
-            near[count % LEAF] = place;
-            count += usize::from(d <= worst);
+        let mut near = 0_u32;
+        for (place, &d) in distances.iter().enumerate() {
+            near |= u32::from(d <= worst) << place;
         }
-        for &place in &near[..count] {
+        near &= u32::MAX >> (LEAF - (end - start));
+        while near != 0 {
+            let place = near.trailing_zeros() as usize % LEAF;
+            near &= near - 1;
             let index = self.order[start + place];
             best.offer(u64::from(distances[place].to_bits()) << 32 | u64::from(index));
         }

@@ -234,11 +234,13 @@ impl Bucket {
     /// Whether a point comes before that of `key`, which has that `weight`, and one of the two is within the other's
     /// radius.
     fn rival(&self, at: Point, weight: f32, key: Key) -> bool {
-        (0..BUCKET).any(|i| {
+        // All distances first: this loop vectorises, the next one cannot and seldom has anything to do.
+        let mut within = [false; BUCKET];
+        for i in 0..BUCKET {
             let d = squared([self.x[i] - at[0], self.y[i] - at[1], self.z[i] - at[2]]);
-            let is_within = d * self.weight[i] < self.distance[i] || d * weight < key.distance();
-            is_within && Key::new(self.distance[i], self.index[i]) > key
-        })
+            within[i] = (d * self.weight[i] < self.distance[i]) | (d * weight < key.distance());
+        }
+        (0..BUCKET).any(|i| within[i] && Key::new(self.distance[i], self.index[i]) > key)
     }
 
     fn farthest(&self) -> Key {
