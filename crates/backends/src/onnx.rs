@@ -19,8 +19,8 @@ use super::{
 const BYTES: u64 = 1 << 20;
 /// Bytes that a cascade takes at its height for each point of its last level before that is sampled: merged points, trees
 /// and tables. The skip features of the level before come on top, two bytes a channel for each of half as many points.
-/// Measured in all: 250 to 430 with the shipped model's 264 channels (`BENCHMARKS.md`, "Many points"); with reserve.
-const GEOMETRY_BYTES_A_POINT: u64 = 312;
+/// Measured in all: 250 to 310 with the shipped model's 264 channels (`BENCHMARKS.md`, "Many points"); with reserve.
+const GEOMETRY_BYTES_A_POINT: u64 = 120;
 
 /// A model on ONNX Runtime's CPU provider.
 #[derive(Debug)]

@@ -127,7 +127,7 @@ impl LevelInput<'_> {
     #[must_use]
     pub fn made(&self, at: Point, source: usize) -> MadePoint {
         let moved = (0..3).map(|a| (at[a] - self.points[source][a]).powi(2)).sum::<f32>().sqrt();
-        MadePoint { at, displacement: moved / self.patches.spacing[source] }
+        MadePoint { at, displacement: moved / self.patches.sites.spacing[source] }
     }
 }
 
@@ -187,7 +187,7 @@ pub struct Demand {
 impl Default for Demand {
     /// What the shipped model takes, which is more than most.
     fn default() -> Self {
-        Self { fixed: 1 << 20, a_point: 576 }
+        Self { fixed: 1 << 20, a_point: 384 }
     }
 }
 

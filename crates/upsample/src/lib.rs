@@ -32,7 +32,7 @@
 //!
 //! # What it takes
 //!
-//! Time is proportional to the points out: a core makes some 45,000 a second at the default settings. Memory is 250 to 400 bytes a point out. Work is
+//! Time is proportional to the points out: a core makes some 45,000 a second at the default settings. Memory is 250 to 310 bytes a point out. Work is
 //! stopped within one patch by an [`Observer`](cascade::Observer), which also hears how far it is. Coordinates may be in any
 //! unit and as far from the origin as 64-bit floats go.
 //!
