@@ -80,7 +80,7 @@ mod tests {
         let made = square(4000, 1, |_| -0.001);
         let tree = KdTree::new(&made);
         let off = |input: Vec<Point>| {
-            let input = Measured::new(&input, vec![0.05; input.len()]);
+            let input = Measured::new(&input, 0.05);
             let anchors = Anchors::new(&input, &made, &tree, &mut None);
             let mut points = square(500, 2, |_| -0.001);
             anchors.draw(&mut points);
@@ -97,7 +97,7 @@ mod tests {
     #[test]
     fn a_point_far_from_all_input_stays() {
         let made = square(1000, 1, |_| -0.001);
-        let input = Measured::new(&square(500, 3, |_| 0.0), vec![0.05; 500]);
+        let input = Measured::new(&square(500, 3, |_| 0.0), 0.05);
         let anchors = Anchors::new(&input, &made, &KdTree::new(&made), &mut None);
         let mut points = vec![[1.2, 0.5, 0.0]];
         anchors.draw(&mut points);

@@ -7,11 +7,11 @@
 use rayon::prelude::*;
 
 use super::globals::{Globals, once, usual_spacing};
+use super::measured::Measured;
+use super::sites::{AROUND, Sites};
 use densecloud_cloud::Point;
-use densecloud_geometry::{KdTree, Plane, Walk, farthest_point_sampling};
+use densecloud_geometry::{Plane, Walk, farthest_point_sampling, indices};
 
-/// Neighbours whose mean distance from a point is its spacing.
-const AROUND: usize = 8;
 /// Most points of a group that is no surface. What counts is the distance to the nearest point outside.
 const GROUP: usize = 4;
 /// A point is alone if its distance to the nearest point outside its group exceeds this many times the [`LOW`]th smallest
@@ -35,31 +35,30 @@ pub(super) const PASSES: usize = 3;
 
 /// A cloud, parted into what lies on surfaces and what lies alone.
 pub(super) struct Parted {
-    /// Points on surfaces, in the given order.
-    pub(super) together: Vec<Point>,
+    /// Points on surfaces.
+    pub(super) together: Measured,
     /// Outliers, in the order of farthest point sampling.
     pub(super) apart: Vec<Point>,
 }
 
 impl Parted {
     /// Parts distinct `points`. All stay together where fewer than `least` would. O(n log n).
-    pub(super) fn of(points: Vec<Point>, least: usize, globals: &mut Globals) -> Self {
-        let mut together = points;
+    pub(super) fn of(points: &[Point], least: usize, globals: &mut Globals) -> Self {
+        let mut together = Measured::of(points);
         let mut apart = Vec::new();
         for usual in &mut globals.usual_spacings {
             let alone = alone(&together, usual);
             let count = alone.iter().filter(|alone| **alone).count();
-            if count == 0 || together.len() - count < least {
+            if count == 0 || alone.len() - count < least {
                 break;
             }
-            let mut of = alone.iter();
-            together.retain(|p| {
-                let alone = *of.next().expect("one each");
-                if alone {
-                    apart.push(*p);
-                }
-                !alone
-            });
+            let those = |wanted: bool| {
+                let points = together.points.iter().zip(&alone).filter(move |(_, alone)| **alone == wanted);
+                points.map(|(p, _)| *p).collect::<Vec<_>>()
+            };
+            apart.extend(those(true));
+            let others = those(false);
+            together = Measured::of(&others);
         }
         let order = farthest_point_sampling(&apart, apart.len(), 0);
         Self { together, apart: order.iter().map(|&i| apart[i as usize]).collect() }
@@ -80,43 +79,30 @@ pub(super) fn joined(dense: Vec<Point>, apart: &[Point]) -> Vec<Point> {
     joined
 }
 
-/// Which of `points` lie alone, by their `usual` spacing.
-fn alone(points: &[Point], usual: &mut Option<f32>) -> Vec<bool> {
+/// Which points of a cloud lie alone, by their `usual` spacing.
+fn alone(cloud: &Measured, usual: &mut Option<f32>) -> Vec<bool> {
+    let Sites { points, tree, spacing } = &**cloud;
     if points.len() <= AROUND {
         return vec![false; points.len()];
     }
-    let tree = KdTree::new(points);
-    let surroundings = |walk: &mut Walk, &i: &u32| {
-        tree.nearest_next(points[i as usize], AROUND + 1, walk);
-        let distance = |k: usize| walk.found[k].distance_squared.sqrt();
-        let around = std::array::from_fn::<u32, AROUND, _>(|k| walk.found[k + 1].index);
-        ((1..=AROUND).map(distance).sum::<f32>() / AROUND as f32, distance(GROUP), around)
-    };
-    let in_order: Vec<_> = tree.order().par_iter().map_init(Walk::default, surroundings).collect();
-    let mut spacings = vec![0.0; points.len()];
-    for (&i, found) in tree.order().iter().zip(&in_order) {
-        spacings[i as usize] = found.0;
-    }
-    let usual = once(usual, || usual_spacing(&spacings));
-    let is_alone = |walk: &mut Walk, (&i, (spacing, group, around)): (&u32, &(f32, f32, [u32; AROUND]))| {
-        let mut nearby = around.map(|j| spacings[j as usize]);
+    let usual = once(usual, || usual_spacing(spacing));
+    let is_alone = |walk: &mut Walk, i: u32| {
+        let (p, around) = (points[i as usize], cloud.around(i));
+        let mut nearby: [f32; AROUND] = std::array::from_fn(|k| spacing[around[k] as usize]);
         let low = *nearby.select_nth_unstable_by(LOW, f32::total_cmp).1;
-        if *group > ALONE * low {
+        let outside = points[around[GROUP - 1] as usize];
+        let group = (0..3).map(|a| (outside[a] - p[a]).powi(2)).sum::<f32>().sqrt();
+        if group > ALONE * low {
             return true;
         }
-        if *spacing <= SPARSE * usual && *spacing <= THIN * low {
+        if spacing[i as usize] <= SPARSE * usual && spacing[i as usize] <= THIN * low {
             return false;
         }
-        tree.nearest_next(points[i as usize], SHEET + 1, walk);
+        tree.nearest_next(p, SHEET + 1, walk);
         let variances = Plane::fit(points, &walk.found).variances;
         variances[0] > ACROSS * variances.iter().sum::<f64>()
     };
-    let found: Vec<bool> = tree.order().par_iter().zip(&in_order).map_init(Walk::default, is_alone).collect();
-    let mut alone = vec![false; points.len()];
-    for (&i, found) in tree.order().iter().zip(found) {
-        alone[i as usize] = found;
-    }
-    alone
+    indices(points.len()).into_par_iter().map_init(Walk::default, is_alone).collect()
 }
 
 #[cfg(test)]
@@ -127,7 +113,7 @@ mod tests {
 
     fn parted(points: Vec<Point>, least: usize) -> Parted {
         let frame = Frame::fit(&[[0.0; 3], [1.0; 3]]).unwrap();
-        Parted::of(points, least, &mut Globals::new(frame))
+        Parted::of(&points, least, &mut Globals::new(frame))
     }
 
     /// A unit square with so many points, even or random.
@@ -214,7 +200,7 @@ mod tests {
         assert_eq!(parted(points.clone(), 20).apart.len(), 1);
         assert_eq!(parted(points, 21).apart.len(), 0);
         let line: Vec<Point> = (0..5).map(|i| [(i * i * i) as f32, 0.0, 0.0]).collect();
-        assert_eq!(parted(line, 1).together.len(), 5);
+        assert_eq!(parted(line, 1).together.points.len(), 5);
     }
 
     #[test]

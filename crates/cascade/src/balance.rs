@@ -6,7 +6,7 @@ use super::globals::{PolishGlobals, median, once};
 use super::measured::Measured;
 use super::part::Within;
 use densecloud_cloud::Point;
-use densecloud_geometry::{Neighbour, indices};
+use densecloud_geometry::{Neighbour, Walk, indices};
 
 /// Points that [`balanced`] should choose from, as a multiple of those wanted.
 pub(super) const SURPLUS: f64 = 1.4;
@@ -54,11 +54,15 @@ pub(super) fn balanced(
     let input = shares.input;
     let mut wanted = vec![false; candidates.len()];
     sampled.iter().for_each(|&i| wanted[i as usize] = true);
-    let region = |(p, wanted): (&Point, &bool)| {
-        let nearest = wanted.then(|| input.tree.nearest_one(*p)).flatten();
-        nearest.map_or(u32::MAX, |n| n.index)
+    let region = |walk: &mut Walk, (p, wanted): (&Point, &bool)| {
+        if !wanted {
+            return u32::MAX;
+        }
+        input.tree.nearest_next(*p, 1, walk);
+        walk.found.first().map_or(u32::MAX, |n| n.index)
     };
-    let region_of: Vec<u32> = candidates.par_iter().zip(&wanted).map(region).collect();
+    let all = candidates.par_iter().zip(&wanted);
+    let region_of: Vec<u32> = all.map_init(Walk::default, region).collect();
     let mut counts = vec![0.0_f32; input.points.len()];
     for &i in &sampled[..size] {
         if let Some(count) = counts.get_mut(region_of[i as usize] as usize) {
@@ -88,18 +92,17 @@ fn crowding(
     Shares { input, areas, trust, part }: Shares<'_>,
     globals: &mut PolishGlobals,
 ) -> Vec<f32> {
-    let region = |found: &mut Vec<Neighbour>, p: &Point| {
-        input.tree.nearest(*p, REGION, found);
-        let all = found.len();
-        if let Some(part) = part {
-            found.retain(|n| part.belongs(input.points[n.index as usize]));
-        }
+    let region = |walk: &mut Walk, p: &Point| {
+        input.tree.nearest_next(*p, REGION, walk);
+        let near = |n: &&Neighbour| part.is_none_or(|part| part.belongs(input.points[n.index as usize]));
+        let found: &[Neighbour] = &walk.found;
         // What is wanted stands for the rest of the region.
-        let rest = all as f32 / found.len().max(1) as f32;
-        let sum = |of: &[f32]| rest * found.iter().map(|n| of[n.index as usize]).sum::<f32>();
+        let rest = found.len() as f32 / found.iter().filter(near).count().max(1) as f32;
+        let sum = |of: &[f32]| rest * found.iter().filter(near).map(|n| of[n.index as usize]).sum::<f32>();
         (sum(counts), sum(areas))
     };
-    let (counts, areas): (Vec<f32>, Vec<f32>) = input.points.par_iter().map_init(Vec::new, region).unzip();
+    let (counts, areas): (Vec<f32>, Vec<f32>) =
+        input.points.par_iter().map_init(Walk::default, region).unzip();
     let doubted = 1.0 - DOUBTED - trust * TRUSTED;
     let usual = once(&mut globals.usual_area, || median(&areas));
     let shares = beside(usual, areas).map(|a| a / a.clamp(1.0 / DOUBT, DOUBT).powf(doubted));
@@ -133,11 +136,12 @@ mod tests {
         farthest_point_sampling(points, count, 0).iter().map(|&i| points[i as usize]).collect()
     }
 
-    /// The order that is kept for `input`, when each point of it stands for `areas` and is trusted by `trust`.
-    fn kept(order: &[Point], size: usize, input: &[Point], areas: &[f32], trust: f32) -> Vec<u32> {
-        let input = Measured::new(input, vec![0.05; input.len()]);
+    /// The order that is kept for `input`, when each point of it stands for an `area` and is trusted by `trust`.
+    fn kept(order: &[Point], size: usize, input: &[Point], area: fn(&Point) -> f32, trust: f32) -> Vec<u32> {
+        let input = Measured::new(input, 0.05);
+        let areas: Vec<f32> = input.points.iter().map(area).collect();
         let sampled: Vec<u32> = (0..order.len() as u32).collect();
-        let shares = Shares { input: &input, areas, trust, part: None };
+        let shares = Shares { input: &input, areas: &areas, trust, part: None };
         balanced(order, &sampled, size, shares, &mut PolishGlobals::default())
     }
 
@@ -148,7 +152,7 @@ mod tests {
         let order = sampled(&scene(20_000, 20_000, 0.08, 2), 2800);
         let tuft = |points: &mut dyn Iterator<Item = &Point>| points.filter(|p| p[0] > 1.5).count();
         let even = tuft(&mut order[..2000].iter());
-        let kept = kept(&order, 2000, &input, &[1.0; 1000], 0.0);
+        let kept = kept(&order, 2000, &input, |_| 1.0, 0.0);
         let balanced = tuft(&mut kept.iter().map(|&i| &order[i as usize]));
         assert_eq!(kept.len(), 2000);
         // By area it were 400.
@@ -160,7 +164,7 @@ mod tests {
     fn an_even_cloud_keeps_its_points_and_their_order() {
         let input = sampled(&scene(20_000, 0, 0.0, 1), 500);
         let order = sampled(&scene(20_000, 0, 0.0, 2), 2800);
-        let kept = kept(&order, 2000, &input, &[1.0; 500], 1.0);
+        let kept = kept(&order, 2000, &input, |_| 1.0, 1.0);
         let same = kept.iter().filter(|i| **i < 2000).count();
         assert!(same > 1800, "{same} of the first 2000 kept");
         // Borders aside, what comes early in the one order does in the other.
@@ -176,10 +180,10 @@ mod tests {
             .filter(|(i, p)| p[0] < 0.5 || i % 2 == 0)
             .map(|(_, p)| p)
             .collect();
-        let areas: Vec<f32> = input.iter().map(|p| if p[0] < 0.5 { 1.0 } else { 1.5 }).collect();
+        let area = |p: &Point| if p[0] < 0.5 { 1.0 } else { 1.5 };
         let order = sampled(&scene(40_000, 0, 0.0, 2), 5600);
         let right = |trust: f32| {
-            let kept = kept(&order, 4000, &input, &areas, trust);
+            let kept = kept(&order, 4000, &input, area, trust);
             kept.iter().filter(|i| order[**i as usize][0] > 0.5).count()
         };
         // By number it were 1,333 (and is no less than the candidates allow), by area 1,714.
@@ -192,9 +196,6 @@ mod tests {
     fn areas_of_nothing_leave_the_order_as_it_is() {
         let input = sampled(&scene(20_000, 0, 0.0, 1), 500);
         let order = sampled(&scene(20_000, 0, 0.0, 2), 2800);
-        assert_eq!(
-            kept(&order, 2000, &input, &[0.0; 500], 1.0),
-            kept(&order, 2000, &input, &[1.0; 500], 1.0)
-        );
+        assert_eq!(kept(&order, 2000, &input, |_| 0.0, 1.0), kept(&order, 2000, &input, |_| 1.0, 1.0));
     }
 }

@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use super::globals::{evenness, once};
 use super::measured::Measured;
 
-use densecloud_geometry::{normal, one_sided, quadratic_residual};
+use densecloud_geometry::{Neighbour, normal, one_sided, quadratic_residual};
 
 /// Past its last points a surface is taken to go on for this share of a cell's usual reach, if the input is even: such a
 /// sample has points on the border itself. A random one ends before it, and reaches past its last points as far as
@@ -16,8 +16,6 @@ const PAST: f32 = 0.15;
 const SMOOTH: f32 = 0.05;
 /// Points that this is measured with, the nearest one itself among them. Fewer see the blade as flat.
 const SHEET: usize = 25;
-/// Points around that tell whether one lies on a border, itself among them.
-const RING: usize = 9;
 
 /// What an input tells of its borders.
 pub(super) struct Borders {
@@ -34,12 +32,13 @@ impl Borders {
     pub(super) fn of(input: &Measured, known: &mut Option<f32>) -> Self {
         let even = once(known, || evenness(nearest_distances(input)));
         let ends = |found: &mut Vec<_>, i: usize| {
-            let p = input.points[i];
-            input.tree.nearest(p, RING, found);
+            found.clear();
+            let ring = [i as u32].into_iter().chain(input.around(i as u32).iter().copied());
+            found.extend(ring.map(|index| Neighbour { index, distance_squared: 0.0 }));
             if !one_sided(&input.points, i, found, normal(&input.points, found)) {
                 return false;
             }
-            input.tree.nearest(p, SHEET, found);
+            input.tree.nearest(input.points[i], SHEET, found);
             (quadratic_residual(&input.points, found) as f32) < SMOOTH * input.spacing[i]
         };
         let count = if even > 0.0 { input.points.len() } else { 0 };
@@ -73,18 +72,7 @@ fn nearest_distances(input: &Measured) -> impl Iterator<Item = f32> {
 mod tests {
     use super::*;
     use densecloud_cloud::Point;
-    use densecloud_geometry::{KdTree, Rng, farthest_point_sampling};
-
-    /// With the mean distance to the 8 nearest as the spacing.
-    fn measured(points: &[Point]) -> Measured {
-        let tree = KdTree::new(points);
-        let mut found = Vec::new();
-        let spacing = points.iter().map(|p| {
-            tree.nearest(*p, 9, &mut found);
-            found.iter().map(|n| n.distance_squared.sqrt()).sum::<f32>() / 8.0
-        });
-        Measured::new(points, spacing.collect())
-    }
+    use densecloud_geometry::{Rng, farthest_point_sampling};
 
     /// `n` points with x and y in the unit square, at a height.
     fn square(n: usize, even: bool, height: impl Fn(f32, &mut Rng) -> f32) -> Vec<Point> {
@@ -102,9 +90,10 @@ mod tests {
     fn an_even_surface_ends_at_its_points_and_a_random_one_past_them() {
         let past = |even| {
             let points = square(2000, even, |_, _| 0.0);
-            let borders = Borders::of(&measured(&points), &mut None);
+            let input = Measured::of(&points);
+            let borders = Borders::of(&input, &mut None);
             let at = |wanted: fn(f32) -> bool| {
-                let found = (0_u32..).zip(&points).filter(move |(_, p)| wanted(p[0].min(1.0 - p[0])));
+                let found = (0_u32..).zip(&input.points).filter(move |(_, p)| wanted(p[0].min(1.0 - p[0])));
                 found.map(|(i, _)| borders.past(i)).fold(0.0, f32::max)
             };
             (at(|x| x < 0.005), at(|x| x > 0.1))
@@ -117,9 +106,10 @@ mod tests {
     fn a_smooth_sheet_may_end_and_noise_and_the_edge_of_a_blade_may_not() {
         // The spacing is 0.025.
         let possible = |points: &[Point]| {
-            let borders = Borders::of(&measured(points), &mut None);
+            let input = Measured::of(points);
+            let borders = Borders::of(&input, &mut None);
             let at_border =
-                (0_u32..).zip(points).filter(|(_, p)| p[0] < 0.02).map(|(i, _)| borders.past(i) < 1.0);
+                (0_u32..).zip(&input.points).filter(|(_, p)| p[0] < 0.02).map(|(i, _)| borders.past(i) < 1.0);
             let at_border: Vec<bool> = at_border.collect();
             at_border.iter().filter(|p| **p).count() as f64 / at_border.len() as f64
         };

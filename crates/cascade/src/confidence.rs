@@ -52,11 +52,11 @@ pub fn confidence(
 ) -> Option<Vec<f32>> {
     let Input { frame, points, .. } = Input::prepare(input).ok()?;
     let ratio = made.len() as f32 / points.len() as f32;
-    let Parted { together, .. } = Parted::of(points, SHEET + 2, &mut Globals::new(frame));
-    if together.len() < SHEET + 2 {
+    let Parted { together, .. } = Parted::of(&points, SHEET + 2, &mut Globals::new(frame));
+    if together.points.len() < SHEET + 2 {
         return Some(vec![0.0; made.len()]);
     }
-    let sites = Sites::of(&together, ratio.sqrt());
+    let sites = Sites::of(&together.sites, ratio.sqrt());
     let mut confidence = Vec::with_capacity(made.len());
     for block in made.chunks(BLOCK) {
         if cancelled() {
@@ -75,9 +75,9 @@ fn likely(features: [f32; FEATURES]) -> f32 {
 }
 
 /// The input's points on surfaces, and what each is like.
-struct Sites {
-    tree: KdTree,
-    points: Vec<Point>,
+struct Sites<'a> {
+    tree: &'a KdTree,
+    points: &'a [Point],
     /// The input's spacing there.
     spacing: Vec<f32>,
     /// How far the points around each are from lying in a plane, from 0 to 1.
@@ -86,13 +86,12 @@ struct Sites {
     root: f32,
 }
 
-impl Sites {
+impl<'a> Sites<'a> {
     /// Of more than [`SHEET`] distinct points. O(n log n).
-    fn of(points: &[Point], root: f32) -> Self {
-        let (tree, points, _) = KdTree::sorted(points);
+    fn of(super::sites::Sites { points, tree, .. }: &'a super::sites::Sites, root: f32) -> Self {
         let own = |walk: &mut Walk, p: &Point| {
             tree.nearest_next(*p, SHEET + 1, walk);
-            (mean_distance(&walk.found[1..=AROUND]), roughness(&Plane::fit(&points, &walk.found[1..])))
+            (mean_distance(&walk.found[1..=AROUND]), roughness(&Plane::fit(points, &walk.found[1..])))
         };
         let (own, rough): (Vec<f32>, Vec<f32>) = points.par_iter().map_init(Walk::default, own).unzip();
         let usual = |walk: &mut Walk, p: &Point| {

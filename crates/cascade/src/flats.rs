@@ -99,7 +99,7 @@ mod tests {
 
     /// How far points at that height over the square are off it when they are held by such input.
     fn held(input: &[Point], height: impl Fn(f32, f32) -> f32) -> Vec<f32> {
-        let input = Measured::new(input, vec![0.03; input.len()]);
+        let input = Measured::new(input, 0.03);
         let flats = Flats::of(&input);
         let mut points = over_square(500, 7, height);
         let moved = points.iter_mut().map(|p| {
@@ -139,7 +139,7 @@ mod tests {
     #[test]
     fn a_line_tells_of_no_plane() {
         let line: Vec<Point> = (0..50).map(|i| [i as f32 * 0.02, 0.0, 0.0]).collect();
-        let input = Measured::new(&line, vec![0.02; 50]);
+        let input = Measured::new(&line, 0.02);
         assert!(Flats::of(&input).0.iter().all(Option::is_none));
     }
 }

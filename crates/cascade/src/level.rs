@@ -1,13 +1,16 @@
 //! One level: patches through one unit, merged and resampled.
 
+use std::sync::Arc;
+
 use super::globals::Globals;
-use super::measured::Reference;
+use super::measured::{Measured, Reference};
 use super::part::Within;
 use super::patches::Patches;
 use super::plan::Quality;
 use super::polish::{Polish, Sizes};
 use super::runner::{FeatureTable, LevelInput, LevelOutput, LevelRunner};
 use super::share::{Neighbourhoods, Spread, sample};
+use super::sites::Sites;
 use super::skip::SkipNeighbours;
 use super::strays::{StrayLimits, without_strays};
 use super::{BackendError, CascadeError, CascadeOptions, Observer, Stage};
@@ -21,40 +24,54 @@ const ENOUGH: f64 = 0.75;
 const FEWEST: f64 = 0.5;
 
 /// One level about to run.
-pub(super) struct Level {
+struct Level {
     /// From 0.
-    pub(super) number: usize,
+    number: usize,
     /// Points of its result.
-    pub(super) size: usize,
+    size: usize,
     /// Whether nothing follows, so that features are not needed.
-    pub(super) last: bool,
+    last: bool,
 }
 
 /// What one level hands to the next.
-pub(super) struct Handover {
+struct Handover {
     /// The level's result, distinct, in local coordinates.
-    pub(super) points: Vec<Point>,
-    /// For each point the spacing of the input there; none before the first level, and where the whole is to be equally
-    /// dense.
-    pub(super) local: Option<Vec<f32>>,
-    /// Features for the next level; none before the first level, and where there is none.
-    pub(super) previous: Option<Previous>,
-    /// The cascade's input, to measure strays against; none before the first level, whose input it is.
-    pub(super) reference: Option<Reference>,
-    /// Points of the last level's result that lie just outside of what was wanted of a part.
-    pub(super) rim: Vec<Point>,
+    sites: Arc<Sites>,
+    /// For each point the spacing of the input there; none where the whole is to be equally dense.
+    local: Option<Vec<f32>>,
+    /// Features for the next level; none before the first level.
+    previous: Option<Previous>,
+    /// The cascade's input, to measure strays against.
+    reference: Reference,
 }
 
 impl Handover {
     /// The cascade's input, to its first level.
-    pub(super) fn input(points: Vec<Point>) -> Self {
-        Self { points, local: None, previous: None, reference: None, rim: Vec::new() }
+    fn input(input: Measured, spread: Spread, globals: &mut Globals) -> Result<Self, CascadeError> {
+        let field = globals.field.clone();
+        let neighbourhoods = match spread {
+            Spread::Neighbourhood => {
+                Some(Neighbourhoods::of(&input, &mut globals.usual_point, field.as_deref())?)
+            }
+            Spread::Area => None,
+        };
+        let local = neighbourhoods.as_ref().map(|of| of.spacing.clone());
+        let sites = Arc::clone(&input.sites);
+        Ok(Self { sites, local, previous: None, reference: Reference::new(input, neighbourhoods, globals) })
     }
 }
 
+/// What a level gives.
+enum Given {
+    /// A level follows.
+    Next(Handover),
+    /// The result, distinct, in local coordinates; and points that lie just outside of what was wanted of a part.
+    Last(Vec<Point>, Vec<Point>),
+}
+
 /// What a level leaves of its input: the points and their features.
-pub(super) struct Previous {
-    points: Vec<Point>,
+struct Previous {
+    sites: Arc<Sites>,
     /// Each point's row in the table.
     rows: Vec<u32>,
     features: FeatureTable,
@@ -69,30 +86,41 @@ pub(super) struct Run<'a> {
     pub(super) part: Option<&'a Within<'a>>,
 }
 
+/// Runs all levels on the cascade's input: the result, and points that lie just outside of what was wanted of a part.
+pub(super) fn run_levels(
+    input: Measured,
+    run: &Run<'_>,
+    globals: &mut Globals,
+) -> Result<(Vec<Point>, Vec<Point>), CascadeError> {
+    let levels = globals.sizes.len();
+    let mut handover = Handover::input(input, run.options.spread, globals)?;
+    let mut number = 0;
+    loop {
+        let level = Level { number, size: globals.sizes[number], last: number + 1 == levels };
+        match level.run(handover, run, globals)? {
+            Given::Next(next) => handover = next,
+            Given::Last(points, rim) => return Ok((points, rim)),
+        }
+        number += 1;
+    }
+}
+
 impl Level {
     /// Runs the level on what the one before it gave.
-    pub(super) fn run(
+    fn run(
         self,
-        Handover { points, local, previous, reference, .. }: Handover,
+        Handover { sites, local, previous, reference }: Handover,
         run: &Run<'_>,
         globals: &mut Globals,
-    ) -> Result<Handover, CascadeError> {
+    ) -> Result<Given, CascadeError> {
         let Self { number, size, last } = self;
         let Run { options, runner, observer, part } = *run;
-        let size = part.map_or(size, |part| part.size_of_level(points.len(), number, last));
-        let neighbourhoods = match (&reference, options.spread) {
-            (None, Spread::Neighbourhood) => {
-                let field = globals.field.clone();
-                Some(Neighbourhoods::of(&points, &mut globals.usual_point, field.as_deref())?)
-            }
-            _ => None,
-        };
-        let local = local.or_else(|| neighbourhoods.as_ref().map(|of| of.spacing.clone()));
+        let size = part.map_or(size, |part| part.size_of_level(sites.points.len(), number, last));
         // Each level draws from its own stream, so that a ratio's levels do not depend on how many
         // follow.
         let mut random = Rng::new(options.seed.wrapping_add((number as u64) << 32));
         let patches = Patches::cover(
-            &points,
+            &sites,
             local.as_deref(),
             runner.shape().patch_size,
             options,
@@ -100,26 +128,24 @@ impl Level {
             number,
             observer,
         )?;
-        let skip =
-            previous.as_ref().map(|p| SkipNeighbours::find(&p.points, &p.rows, &points)).transpose()?;
+        let find = |p: &Previous| SkipNeighbours::find(&p.sites, &p.rows, &sites.points);
+        let skip = previous.as_ref().map(find).transpose()?;
 
         observer.begin(number, Stage::Units);
         let unit = number.min(runner.units() - 1);
         let input = LevelInput {
             unit,
-            points: &points,
+            points: &sites.points,
             patches: &patches,
             skip: skip.as_ref(),
             want_features: !last,
         };
         let table = previous.as_ref().map(|p| &p.features);
         let LevelOutput { made, features } = runner.run_level(&input, table, observer)?;
-        let (rows, spacing) = patches.into_rows_and_spacing();
+        let rows = patches.into_rows();
         // The features that this level read are what takes most memory: gone before sampling begins.
         drop((previous, skip));
-        let reference =
-            reference.unwrap_or_else(|| Reference::new(&points, spacing, neighbourhoods, globals));
-        let doubled = 2 * points.len();
+        let doubled = 2 * sites.points.len();
         let share = |polished: f64| if options.polish { (polished * size as f64) as usize } else { size };
         let wanted = match options.quality {
             // Twice as many as are kept: none of the strayed need make up for what lacks.
@@ -139,7 +165,7 @@ impl Level {
             let why = "it made points that are not finite; the model is unusable".into();
             return Err(BackendError::Run { unit: unit + 1, why }.into());
         }
-        let previous = features.map(|features| Previous { points, rows, features });
+        let previous = features.map(|features| Previous { sites, rows, features });
 
         observer.begin(number, Stage::Resample);
         if observer.cancelled() {
@@ -152,12 +178,12 @@ impl Level {
             let sizes = Sizes { full: doubled.max(size), size: part.map_or(size, |part| part.unsettled()) };
             let polish = Polish { sizes, part, observer };
             let (points, rim) = polish.run(merged, reference, &mut globals.polish, &mut random)?;
-            return Ok(Handover { rim, ..Handover::input(points) });
+            return Ok(Given::Last(points, rim));
         }
         let local = reference.local(&merged.nearest);
         if let (Some(part), true) = (part, last) {
             let (points, rim) = part.choose(&merged.points, local)?;
-            return Ok(Handover { rim, ..Handover::input(points) });
+            return Ok(Given::Last(points, rim));
         }
         let first = random.below(merged.points.len() as u64) as usize;
         let mut kept = sample(&merged.points, local.as_deref(), size.min(merged.points.len()), first);
@@ -168,9 +194,12 @@ impl Level {
         if let Some(part) = part {
             part.keep_near(&mut kept, &merged, &reference.input.spacing, number + 1);
         }
-        let merged = merged.points;
+        let points: Vec<Point> = kept.iter().map(|&i| merged.points[i as usize]).collect();
+        drop(merged);
+        if last {
+            return Ok(Given::Last(points, Vec::new()));
+        }
         let local = local.map(|local| kept.iter().map(|&i| local[i as usize]).collect());
-        let points = kept.iter().map(|&i| merged[i as usize]).collect();
-        Ok(Handover { local, previous, reference: (!last).then_some(reference), ..Handover::input(points) })
+        Ok(Given::Next(Handover { sites: Arc::new(Sites::new(points)), local, previous, reference }))
     }
 }

@@ -49,6 +49,7 @@ mod polish;
 mod runner;
 mod session;
 mod share;
+mod sites;
 mod skip;
 mod sphere;
 mod strays;
@@ -75,7 +76,7 @@ use densecloud_cloud::{FrameError, Position};
 use densecloud_geometry::{TooManyPoints, check_count};
 use globals::Globals;
 use input::Input;
-use level::{Handover, Level, Run};
+use level::{Run, run_levels};
 use plan::Plan;
 
 /// How to run the cascade; the defaults are what the shipped model was measured with.
@@ -236,7 +237,7 @@ impl CascadeOptions {
 /// Upsamples a cloud, on the current rayon pool.
 ///
 /// Cost: about `overlap * (2^levels - 1) * n / N` runs of the unit for n distinct points in, and memory
-/// of 250 to 400 bytes a point out; the skip features are 528 bytes for each point of a level's input, the
+/// of 250 to 310 bytes a point out; the skip features are 528 bytes for each point of a level's input, the
 /// last level's aside.
 ///
 /// # Errors
@@ -265,18 +266,15 @@ fn cascade(
     let Input { frame, points, finite, non_finite } = input;
     let (shape, duplicates) = (run.runner.shape(), finite - points.len());
     let plan = Plan::new(target, run.options.quality, finite, points.len(), shape)?;
-    let Parted { together, apart } = Parted::of(points, shape.neighbours + 1, globals);
+    let Parted { together, apart } = Parted::of(&points, shape.neighbours + 1, globals);
+    drop(points);
     if globals.sizes.is_empty() {
-        globals.plan(plan.sizes(apart.len(), together.len(), run.options.polish));
+        globals.plan(plan.sizes(apart.len(), together.points.len(), run.options.polish));
     }
     run.observer.plan(&globals.sizes);
     let levels = globals.sizes.len();
-    let mut handover = Handover::input(together);
-    for number in 0..levels {
-        let level = Level { number, size: globals.sizes[number], last: number + 1 == levels };
-        handover = level.run(handover, run, globals)?;
-    }
-    let dense = joined(handover.points, &apart);
+    let (dense, _) = run_levels(together, run, globals)?;
+    let dense = joined(dense, &apart);
     Ok(Upsampled {
         positions: dense.iter().map(|p| frame.to_world(*p)).collect(),
         dropped_non_finite: non_finite,

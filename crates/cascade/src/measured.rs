@@ -1,16 +1,17 @@
 //! The cascade's input: new points are measured against it.
 
+use std::ops::Deref;
+use std::sync::Arc;
+
 use rayon::prelude::*;
 
 use super::border::Borders;
 use super::globals::Globals;
 use super::runner::MadePoint;
 use super::share::Neighbourhoods;
+use super::sites::{AROUND, Sites, mean_distance};
 use densecloud_cloud::Point;
 use densecloud_geometry::{KdTree, Neighbour, Walk};
-
-/// Others around each input point: no point must lie beyond all of them.
-const AROUND: usize = 8;
 
 /// New points are measured against this: the cascade's input, and where its surface ends.
 pub(super) struct Reference {
@@ -21,14 +22,11 @@ pub(super) struct Reference {
 }
 
 impl Reference {
-    /// `spacing` of each of the input's `points`. O(n log n).
     pub(super) fn new(
-        points: &[Point],
-        spacing: Vec<f32>,
+        input: Measured,
         neighbourhoods: Option<Neighbourhoods>,
         globals: &mut Globals,
     ) -> Self {
-        let input = Measured::new(points, spacing);
         let borders = Borders::of(&input, &mut globals.evenness);
         Self { input, borders, neighbourhoods }
     }
@@ -44,30 +42,46 @@ impl Reference {
 /// A limit on displacement alone lets strays through: a stray is far from everything, so the next
 /// level grants it a wide spacing and lets its copies stray further.
 pub(super) struct Measured {
-    pub(super) tree: KdTree,
-    pub(super) points: Vec<Point>,
-    /// Mean distance of each point to its nearest others.
-    pub(super) spacing: Vec<f32>,
+    pub(super) sites: Arc<Sites>,
     /// One row for each point: see [`Measured::around`].
     neighbours: Vec<u32>,
 }
 
+impl Deref for Measured {
+    type Target = Sites;
+
+    fn deref(&self) -> &Sites {
+        &self.sites
+    }
+}
+
 impl Measured {
-    /// `spacing` of each of `points`.
-    pub(super) fn new(points: &[Point], spacing: Vec<f32>) -> Self {
-        let tree = KdTree::new(points);
+    /// Puts the points into the order of their tree: neighbours in space are neighbours in memory. O(n log n).
+    pub(super) fn of(points: &[Point]) -> Self {
+        let (tree, points) = KdTree::in_order(points);
         let row = AROUND.min(points.len().saturating_sub(1));
-        let mut neighbours = vec![0; row * points.len()];
+        let (mut neighbours, mut spacing) = (vec![0; row * points.len()], vec![f32::NAN; points.len()]);
         if row > 0 {
-            let find = |found: &mut Vec<_>, (i, row): (usize, &mut [u32])| {
+            let find = |walk: &mut Walk, ((i, row), spacing): ((usize, &mut [u32]), &mut f32)| {
+                tree.nearest_next(points[i], row.len() + 1, walk);
                 // Of points that coincide, the point itself need not come first.
-                tree.nearest(points[i], row.len() + 1, found);
-                let others = found.iter().map(|n| n.index).filter(|&j| j as usize != i);
+                let others = walk.found.iter().map(|n| n.index).filter(|&j| j as usize != i);
                 row.iter_mut().zip(others).for_each(|(place, j)| *place = j);
+                *spacing = mean_distance(walk);
             };
-            neighbours.par_chunks_exact_mut(row).enumerate().for_each_init(Vec::new, find);
+            let rows = neighbours.par_chunks_exact_mut(row).enumerate();
+            rows.zip(&mut spacing).for_each_init(Walk::default, find);
         }
-        Self { tree, points: points.to_vec(), spacing, neighbours }
+        Self { sites: Arc::new(Sites { points, tree, spacing }), neighbours }
+    }
+
+    /// As [`Self::of`], as if the points had this `spacing`.
+    #[cfg(test)]
+    pub(super) fn new(points: &[Point], spacing: f32) -> Self {
+        let Self { sites, neighbours } = Self::of(points);
+        let mut sites = Arc::into_inner(sites).expect("the only one");
+        sites.spacing.fill(spacing);
+        Self { sites: Arc::new(sites), neighbours }
     }
 
     /// An input point's nearest others, nearest first; fewer than [`AROUND`] where there are no more.

@@ -1,15 +1,19 @@
 //! The patches of one level: which points each holds, and which patch owns each point.
 
 use std::ops::Range;
+use std::sync::Arc;
 
 use rayon::prelude::*;
 
+use super::sites::Sites;
 use super::{CascadeError, CascadeOptions, Observer, Stage, share};
 use densecloud_cloud::Point;
-use densecloud_geometry::{KdTree, Neighbour, Rng, Walk};
+use densecloud_geometry::{KdTree, Neighbour, Rng};
 
-/// Neighbours that a point's spacing is measured to: the ring around it on an even surface, and some.
-const SPACING_NEIGHBOURS: usize = 8;
+/// Patches that may come on top of those that are seeded, as a share of these.
+const MORE: f64 = 0.02;
+/// How often patches are exchanged until there are no more: each leaves some points uncovered.
+const EXCHANGES: usize = 4;
 
 /// Overlapping patches that cover a level's input.
 ///
@@ -27,18 +31,18 @@ pub struct Patches {
     row_starts: Vec<usize>,
     /// For each point its row in the feature table.
     rows: Vec<u32>,
-    /// For each point the mean distance to its [`SPACING_NEIGHBOURS`] nearest others.
-    pub(crate) spacing: Vec<f32>,
+    /// The level's points.
+    pub(crate) sites: Arc<Sites>,
     /// For each point, the patch that owns it.
     owners: Vec<u32>,
 }
 
 impl Patches {
     /// About `overlap * n / patch_size` patches of the `patch_size` nearest points to seeds chosen
-    /// by farthest point sampling, in the `local` spacing where that is given, plus what it takes to cover every point. A cloud no larger than
-    /// a patch is one patch.
+    /// by farthest point sampling, in the `local` spacing where that is given, or to points that lie in no other patch. A
+    /// cloud no larger than a patch is one patch.
     pub(super) fn cover(
-        points: &[Point],
+        sites: &Arc<Sites>,
         local: Option<&[f32]>,
         patch_size: usize,
         settings: &CascadeOptions,
@@ -46,6 +50,7 @@ impl Patches {
         level: usize,
         observer: &dyn Observer,
     ) -> Result<Self, CascadeError> {
+        let Sites { points, tree, .. } = &**sites;
         let size = patch_size.min(points.len());
         observer.begin(level, Stage::Seeds);
         let seeds = if size == points.len() {
@@ -60,15 +65,13 @@ impl Patches {
             return Err(CascadeError::Cancelled);
         }
         observer.begin(level, Stage::Patches);
-        let tree = KdTree::new(points);
         let mut members = vec![0; seeds.len() * size];
         members.par_chunks_exact_mut(size).zip(&seeds).for_each_init(Vec::new, |found, (patch, &seed)| {
-            nearest(&tree, points[seed as usize], patch, found);
+            nearest(tree, points[seed as usize], patch, found);
         });
-        add_uncovered(points, &tree, size, &mut members);
+        cover_all(points, tree, size, &mut members);
         let inner = (settings.inner * size as f64).ceil() as usize;
-        let spacing = spacing(points, &tree);
-        Ok(Self::own(spacing, size, inner, members))
+        Ok(Self::own(Arc::clone(sites), size, inner, members))
     }
 
     /// How many there are, at least one.
@@ -117,15 +120,15 @@ impl Patches {
             .map(|(place, _)| place)
     }
 
-    /// What the next level and the sampling need: each point's row, and its spacing. The rest is freed.
-    pub(crate) fn into_rows_and_spacing(self) -> (Vec<u32>, Vec<f32>) {
-        (self.rows, self.spacing)
+    /// What the next level needs: each point's row. The rest is freed.
+    pub(crate) fn into_rows(self) -> Vec<u32> {
+        self.rows
     }
 
     /// A point belongs to the patch in which it lies most central: the one whose seed has it as the
     /// earliest neighbour, the first such patch where several do.
-    fn own(spacing: Vec<f32>, size: usize, inner: usize, members: Vec<u32>) -> Self {
-        let points = spacing.len();
+    fn own(sites: Arc<Sites>, size: usize, inner: usize, members: Vec<u32>) -> Self {
+        let points = sites.points.len();
         let mut owners = vec![0; points];
         let mut places = vec![u32::MAX; points];
         for (patch, members) in members.chunks_exact(size).enumerate() {
@@ -148,29 +151,31 @@ impl Patches {
             }
             row_starts.push(next as usize);
         }
-        Self { size, members, inner, row_starts, rows, spacing, owners }
+        Self { size, members, inner, row_starts, rows, sites, owners }
     }
-}
-
-/// O(n log n), in the tree's order for the sake of caches.
-fn spacing(points: &[Point], tree: &KdTree) -> Vec<f32> {
-    let mean = |walk: &mut Walk, &i: &u32| {
-        tree.nearest_next(points[i as usize], SPACING_NEIGHBOURS + 1, walk);
-        let distances = walk.found.iter().map(|n| n.distance_squared.sqrt());
-        distances.sum::<f32>() / (walk.found.len() - 1) as f32
-    };
-    let in_order: Vec<f32> = tree.order().par_iter().map_init(Walk::default, mean).collect();
-    let mut spacing = vec![0.0; points.len()];
-    for (&i, value) in tree.order().iter().zip(in_order) {
-        spacing[i as usize] = value;
-    }
-    spacing
 }
 
 fn nearest(tree: &KdTree, centre: Point, patch: &mut [u32], found: &mut Vec<Neighbour>) {
     tree.nearest(centre, patch.len(), found);
     for (member, neighbour) in patch.iter_mut().zip(&*found) {
         *member = neighbour.index;
+    }
+}
+
+/// Makes every point lie in a patch: the patches that this takes come in place of those whose seeds were chosen last, so that
+/// there are about as many as before. An uneven cloud has points that are among the nearest of no seed.
+fn cover_all(points: &[Point], tree: &KdTree, size: usize, members: &mut Vec<u32>) {
+    let asked = members.len() / size;
+    let mut seeded = asked;
+    add_uncovered(points, tree, size, members);
+    for _ in 0..EXCHANGES {
+        let more = members.len() / size - asked;
+        if more as f64 <= MORE * asked as f64 {
+            break;
+        }
+        seeded = seeded.saturating_sub(more).max(asked.div_ceil(2));
+        members.truncate(seeded * size);
+        add_uncovered(points, tree, size, members);
     }
 }
 
@@ -209,8 +214,12 @@ mod tests {
     }
 
     fn cover(points: &[Point], overlap: f64) -> Patches {
-        let settings = CascadeOptions { overlap, ..CascadeOptions::default() };
-        Patches::cover(points, None, 32, &settings, &mut Rng::new(1), 0, &Silent).unwrap()
+        of(points, &CascadeOptions { overlap, ..CascadeOptions::default() })
+    }
+
+    fn of(points: &[Point], settings: &CascadeOptions) -> Patches {
+        let sites = Arc::new(Sites::new(points.to_vec()));
+        Patches::cover(&sites, None, 32, settings, &mut Rng::new(1), 0, &Silent).unwrap()
     }
 
     #[test]
@@ -252,7 +261,7 @@ mod tests {
         let points = cloud(500);
         for (inner, at_least) in [(0.0, 0), (0.5, 16), (1.0, 32)] {
             let settings = CascadeOptions { inner, ..CascadeOptions::default() };
-            let patches = Patches::cover(&points, None, 32, &settings, &mut Rng::new(1), 0, &Silent).unwrap();
+            let patches = of(&points, &settings);
             let mut seen = vec![false; points.len()];
             for p in 0..patches.count() {
                 let kept: Vec<usize> = patches.kept(p).collect();

@@ -395,11 +395,11 @@ fn fallen_short_of(
     input: &Measured,
     short: f32,
 ) -> Vec<u32> {
-    let far = |found: &mut Vec<Neighbour>, ((p, spacing), i): ((&Point, &f32), u32)| {
+    let far = |walk: &mut Walk, ((p, spacing), i): ((&Point, &f32), u32)| {
         let limit = (short * spacing).powi(2);
         let near = |q: Point| (0..3).map(|a| (q[a] - p[a]).powi(2)).sum::<f32>() <= limit;
-        tree.nearest(*p, AROUND, found);
-        let reached = found.iter().any(|n| {
+        tree.nearest_next(*p, AROUND, walk);
+        let reached = walk.found.iter().any(|n| {
             let q = points[n.index as usize];
             by == ReachedBy::SampleToo && near(q)
                 || rings[n.index as usize].others().iter().any(|&j| near(middle(q, points[j as usize])))
@@ -407,7 +407,7 @@ fn fallen_short_of(
         (!reached).then_some(i)
     };
     let all = input.points.par_iter().zip(&input.spacing).zip(indices(input.points.len()).into_par_iter());
-    all.map_init(Vec::new, far).flatten_iter().collect()
+    all.map_init(Walk::default, far).flatten_iter().collect()
 }
 
 fn middle(p: Point, q: Point) -> Point {
@@ -436,7 +436,7 @@ mod tests {
 
     fn reference(points: &[Point], spacing: f32) -> Reference {
         let frame = Frame::fit(&[[0.0; 3], [1.0; 3]]).unwrap();
-        Reference::new(points, vec![spacing; points.len()], None, &mut Globals::new(frame))
+        Reference::new(Measured::new(points, spacing), None, &mut Globals::new(frame))
     }
 
     fn nearest(points: &[Point], reference: &Reference) -> Vec<u32> {
@@ -548,7 +548,8 @@ mod tests {
         let areas = Candidates::of(sample, made.len(), surface, None, &mut globals).areas;
         let whole: f32 = areas.iter().sum();
         assert!((0.93..1.1).contains(&whole), "{whole}");
-        let right: f32 = even.iter().zip(&areas).filter(|(p, _)| p[0] > 0.5).map(|(_, area)| area).sum();
+        let right: f32 =
+            input.input.points.iter().zip(&areas).filter(|(p, _)| p[0] > 0.5).map(|(_, area)| area).sum();
         assert!((right / whole - 0.5).abs() < 0.03, "{right} of {whole} on the right");
     }
 

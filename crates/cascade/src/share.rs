@@ -11,6 +11,7 @@ use rayon::prelude::*;
 
 use super::globals::{once, usual_logarithm};
 use super::part::{Field, stands_for_others};
+use super::sites::Sites;
 use super::{CascadeError, filled};
 use densecloud_cloud::Point;
 use densecloud_geometry::{KdTree, Walk, farthest_point_sampling, indices, scaled_farthest_point_sampling};
@@ -97,20 +98,19 @@ struct Coarser {
 }
 
 impl Neighbourhoods {
-    /// Trees and neighbours of `points`: O(n log n); 170 bytes a point. Where they are a part, the whole's `field` says what
-    /// is usual about them.
+    /// Neighbours on each scale: O(n log n); 170 bytes a point. Where the points are a part, the whole's `field` says what is
+    /// usual about them.
     ///
     /// # Errors
     /// There is no memory for them.
     pub(super) fn of(
-        points: &[Point],
+        Sites { points, tree, .. }: &Sites,
         usual: &mut Option<f32>,
         field: Option<&Field>,
     ) -> Result<Self, CascadeError> {
-        let tree = KdTree::new(points);
         let scale = match field {
-            None => Scale::of(points, &tree)?,
-            Some(field) => Scale::of_part(points, &tree, field)?,
+            None => Scale::of(points, tree)?,
+            Some(field) => Scale::of_part(points, tree, field)?,
         };
         let spacing = scale.spacing(&scale.areas(points), usual);
         Ok(Self { scale, spacing })
@@ -281,6 +281,10 @@ mod tests {
         (0..n).map(|_| [at(0), at(1), 0.0]).collect()
     }
 
+    fn neighbourhoods(points: Vec<Point>) -> Neighbourhoods {
+        Neighbourhoods::of(&Sites::new(points), &mut None, None).unwrap()
+    }
+
     fn mean(values: &[f32]) -> f32 {
         values.iter().sum::<f32>() / values.len() as f32
     }
@@ -295,9 +299,7 @@ mod tests {
     fn chance_is_no_density() {
         for seed in 0..5 {
             let mut random = Rng::new(seed);
-            let spacing = Neighbourhoods::of(&square(2000, [0.0; 2], 1.0, &mut random), &mut None, None)
-                .unwrap()
-                .spacing;
+            let spacing = neighbourhoods(square(2000, [0.0; 2], 1.0, &mut random)).spacing;
             let varied = spacing.iter().filter(|s| (**s / mean(&spacing) - 1.0).abs() > 0.03).count();
             // Corners look thinner than they are.
             assert!(varied < 100, "{varied} of 2000 spacings vary, seed {seed}");
@@ -309,13 +311,13 @@ mod tests {
         let mut random = Rng::new(3);
         let mut points = square(800, [0.0; 2], 1.0, &mut random);
         points.extend(square(800, [3.0; 2], 10.0, &mut random));
-        let spacing = Neighbourhoods::of(&points, &mut None, None).unwrap().spacing;
+        let spacing = neighbourhoods(points.clone()).spacing;
         let ratio = mean(&spacing[800..]) / mean(&spacing[..800]);
         assert!((9.0..10.5).contains(&ratio), "{ratio} of 10");
         // A dense part no larger than the finest neighbourhood.
         points.truncate(800);
         points.extend(square(60, [0.5; 2], 0.03, &mut random));
-        let spacing = Neighbourhoods::of(&points, &mut None, None).unwrap().spacing;
+        let spacing = neighbourhoods(points.clone()).spacing;
         let ratio = mean(&spacing[..800]) / mean(&spacing[800..]);
         assert!(ratio > 3.5, "{ratio} of 9");
     }
@@ -324,7 +326,7 @@ mod tests {
     fn areas_of_nothing_and_few_points_give_a_spacing() {
         for n in [1, 2, 20, 255, 256, 300] {
             let points = square(n, [0.0; 2], 1.0, &mut Rng::new(n as u64));
-            let neighbourhoods = Neighbourhoods::of(&points, &mut None, None).unwrap();
+            let neighbourhoods = neighbourhoods(points);
             for spacing in [&neighbourhoods.spacing, &neighbourhoods.spacing_of(&vec![0.0; n], &mut None)] {
                 assert!(spacing.iter().all(|s| s.is_finite() && *s > 0.0), "{n} points");
             }

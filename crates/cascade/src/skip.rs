@@ -3,9 +3,10 @@
 use rayon::prelude::*;
 
 use crate::session::SKIP_NEIGHBOURS;
+use crate::sites::Sites;
 use crate::{CascadeError, filled};
 use densecloud_cloud::Point;
-use densecloud_geometry::{KdTree, Walk};
+use densecloud_geometry::Walk;
 
 /// For each point of a level, its [`SKIP_NEIGHBOURS`] nearest points of the previous level's input.
 #[derive(Debug)]
@@ -17,20 +18,19 @@ pub struct SkipNeighbours {
 }
 
 impl SkipNeighbours {
-    /// Finds them for each of `points`; `rows` holds the row of each of `previous`. O(n log n).
+    /// Finds them for each of `points`; `previous_rows` holds the row of each of `previous`. O(n log n).
     pub(crate) fn find(
-        previous: &[Point],
+        previous: &Sites,
         previous_rows: &[u32],
         points: &[Point],
     ) -> Result<Self, CascadeError> {
-        let tree = KdTree::new(previous);
         let mut rows = filled(0, points.len() * SKIP_NEIGHBOURS)?;
         let mut distances = filled(0.0, points.len() * SKIP_NEIGHBOURS)?;
         rows.par_chunks_exact_mut(SKIP_NEIGHBOURS)
             .zip(distances.par_chunks_exact_mut(SKIP_NEIGHBOURS))
             .zip(points)
             .for_each_init(Walk::default, |walk, ((rows, distances), &point)| {
-                tree.nearest_next(point, SKIP_NEIGHBOURS, walk);
+                previous.tree.nearest_next(point, SKIP_NEIGHBOURS, walk);
                 for (k, neighbour) in walk.found.iter().enumerate() {
                     rows[k] = previous_rows[neighbour.index as usize];
                     distances[k] = neighbour.distance_squared;

@@ -74,6 +74,7 @@ pub(super) fn without_strays(
 mod tests {
     use super::*;
     use crate::globals::Globals;
+    use crate::measured::Measured;
     use densecloud_cloud::Frame;
     use densecloud_geometry::Rng;
 
@@ -85,7 +86,7 @@ mod tests {
 
     fn reference(points: &[Point]) -> Reference {
         let frame = Frame::fit(&[[0.0; 3], [1.0; 3]]).unwrap();
-        Reference::new(points, vec![1.0; points.len()], None, &mut Globals::new(frame))
+        Reference::new(Measured::new(points, 1.0), None, &mut Globals::new(frame))
     }
 
     /// What is left where so many are wanted and needed, and points are moved and far by no more than this.

@@ -421,7 +421,8 @@ fn a_runner_takes_whole_levels_and_keeps_its_own_table() {
 fn a_table_of_another_runner_is_refused() {
     let points: Vec<_> = sphere(40, 1).iter().map(|p| p.map(|c| c as f32)).collect();
     let options = CascadeOptions::default();
-    let patches = Patches::cover(&points, None, 32, &options, &mut Rng::new(1), 0, &Silent).unwrap();
+    let sites = Arc::new(sites::Sites::new(points.clone()));
+    let patches = Patches::cover(&sites, None, 32, &options, &mut Rng::new(1), 0, &Silent).unwrap();
     let level = LevelInput { unit: 1, points: &points, patches: &patches, skip: None, want_features: false };
     let foreign = FeatureTable::new(7_u8);
     let refused = runner().run_level(&level, Some(&foreign), &Silent).err().unwrap().to_string();

@@ -16,8 +16,9 @@ pub(crate) use within::Within;
 use crate::apart::{Parted, joined};
 use crate::globals::Globals;
 use crate::input::distinct;
-use crate::level::{Handover, Level, Run};
+use crate::level::{Run, run_levels};
 use crate::share::Neighbourhoods;
+use crate::sites::Sites;
 use crate::{CascadeError, CascadeOptions, LevelRunner, Observer, Spread};
 use densecloud_cloud::{Point, Position};
 use densecloud_geometry::{Partition, check_count};
@@ -76,17 +77,17 @@ pub fn upsample_part(
     let mut globals = part.whole.globals().clone();
     let input = Input::of(part, &globals);
     let (apart_of_all, together) = {
-        let parted = Parted::of(input.points, runner.shape().neighbours + 1, &mut globals);
+        let parted = Parted::of(&input.points, runner.shape().neighbours + 1, &mut globals);
         (parted.apart, parted.together)
     };
     let belongs = |p: &Point| part.partition.cell_of(globals.frame.to_world(*p)) == part.cell;
     let apart: Vec<Point> = apart_of_all.into_iter().filter(belongs).collect();
-    let inside = together.iter().filter(|p| belongs(p)).count();
+    let inside = together.points.iter().filter(|p| belongs(p)).count();
     let size = usize::try_from(part.size).unwrap_or(usize::MAX);
     check_count(size)?;
     let needed = runner.shape().neighbours + 1;
-    if together.len() < needed || inside + apart.len() > size {
-        let (distinct, duplicates) = (together.len(), input.duplicates);
+    if together.points.len() < needed || inside + apart.len() > size {
+        let (distinct, duplicates) = (together.points.len(), input.duplicates);
         return Err(CascadeError::TooFewPoints { distinct, duplicates, needed });
     }
     let size = size - apart.len();
@@ -96,10 +97,10 @@ pub fn upsample_part(
     } else {
         let local = local_spacing(&together, options.spread, &mut globals)?;
         let ratio = size as f64 / inside as f64;
-        let within = Within::new(part, globals.frame, ratio, size, levels, (&together, &local));
+        let within = Within::new(part, globals.frame, ratio, size, levels, (&together.points, &local));
         globals.plan(
             (0..levels)
-                .map(|level| within.size_of_level(together.len() << level, level, level + 1 == levels))
+                .map(|level| within.size_of_level(together.points.len() << level, level, level + 1 == levels))
                 .collect(),
         );
         observer.plan(&globals.sizes);
@@ -121,28 +122,14 @@ pub fn upsample_part(
     })
 }
 
-fn run_levels(
-    together: Vec<Point>,
-    run: &Run<'_>,
-    globals: &mut Globals,
-) -> Result<(Vec<Point>, Vec<Point>), CascadeError> {
-    let levels = globals.sizes.len();
-    let mut handover = Handover::input(together);
-    for number in 0..levels {
-        let level = Level { number, size: globals.sizes[number], last: number + 1 == levels };
-        handover = level.run(handover, run, globals)?;
-    }
-    Ok((handover.points, handover.rim))
-}
-
 /// The spacing of the input at each of its points.
-fn local_spacing(points: &[Point], spread: Spread, globals: &mut Globals) -> Result<Vec<f32>, CascadeError> {
+fn local_spacing(together: &Sites, spread: Spread, globals: &mut Globals) -> Result<Vec<f32>, CascadeError> {
     let field = globals.field.clone();
-    let of = Neighbourhoods::of(points, &mut globals.usual_point, field.as_deref())?;
+    let of = Neighbourhoods::of(together, &mut globals.usual_point, field.as_deref())?;
     let usual = || (0.5 * globals.usual_point.unwrap_or_default()).exp();
     Ok(match spread {
         Spread::Neighbourhood => of.spacing,
-        Spread::Area => vec![usual(); points.len()],
+        Spread::Area => vec![usual(); together.points.len()],
     })
 }
 

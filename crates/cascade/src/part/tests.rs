@@ -1,6 +1,7 @@
 use std::sync::Arc;
 
 use super::*;
+use crate::measured::Measured;
 use crate::{Fake, Patchwise, Quality, Silent};
 use densecloud_geometry::{KdTree, Rng, farthest_point_sampling};
 
@@ -83,10 +84,10 @@ impl Cut {
         let part =
             Part { positions, partition: &self.partition, cell, whole: &self.whole, size: self.size(cell) };
         let mut globals = self.whole.globals().clone();
-        let points = Input::of(&part, &globals).points;
-        let spacing = local_spacing(&points, self.options.spread, &mut globals).unwrap();
+        let together = Measured::of(&Input::of(&part, &globals).points);
+        let spacing = local_spacing(&together, self.options.spread, &mut globals).unwrap();
         let size = part.size as usize;
-        Within::new(&part, globals.frame, self.ratio, size, self.whole.levels(), (&points, &spacing))
+        Within::new(&part, globals.frame, self.ratio, size, self.whole.levels(), (&together.points, &spacing))
     }
 }
 
