@@ -21,8 +21,7 @@ use super::strays::Kept;
 use super::{CascadeError, Observer, check_count};
 use densecloud_cloud::Point;
 use densecloud_geometry::{
-    KdTree, Neighbour, Reach, Rng, Walk, cell_area, farthest_point_sampling_beside, indices, normal,
-    project_to_surface,
+    KdTree, Neighbour, Reach, Rng, Walk, cell_area, indices, normal, project_to_surface,
 };
 
 /// Neighbours that a point shares midpoints with: the ring around it, and some.
@@ -153,8 +152,7 @@ impl Polish<'_> {
         let size = self.sizes.size;
         let count = ((SURPLUS * size as f64) as usize).min(candidates.len());
         let sampled = if let Some(part) = self.part {
-            let spacing = local.unwrap_or_else(|| vec![1.0; candidates.len()]);
-            farthest_point_sampling_beside(candidates, &spacing, count, &part.settled())
+            part.sample(candidates, local.as_deref(), count, &part.settled())
         } else {
             let first = random.below(candidates.len() as u64) as usize;
             let sampled = sample(candidates, local.as_deref(), count, first);

@@ -12,9 +12,13 @@ use densecloud_geometry::{KdTree, Partition, farthest_point_sampling_beside};
 use rayon::prelude::*;
 
 /// The radius of sites, in the spacing of the result: so they are as dense as what farthest point sampling chooses.
-const RADIUS: f32 = 0.78;
+const RADIUS: f32 = 0.84;
 /// Other points lie no nearer to the border than this many radii: those of the other side do not either.
 const CLEAR: f32 = 0.5;
+/// Between sites other points find less room than among themselves: at equal distances they would be denser, so they are
+/// chosen this much further apart, as a share; within so many radii of the sites that fades out.
+const WIDER: f32 = 0.12;
+const FADES: f32 = 2.0;
 /// The radius of a patch, in the spacing of its points, and some.
 const PATCH: f32 = 12.0;
 /// Points that a patch sees as neighbours must be right to this depth, in the same unit.
@@ -43,6 +47,8 @@ pub(crate) struct Within<'a> {
     levels: usize,
     ratio: f64,
     sparing: Sparing,
+    /// The spacing of the input where all of the result is to be equally dense.
+    usual: f32,
     /// Points of the result in the cell.
     size: usize,
     /// Sites in the cell.
@@ -70,6 +76,7 @@ impl<'a> Within<'a> {
             levels,
             ratio,
             sparing,
+            usual: spacing.first().copied().unwrap_or(1.0),
             size,
             inside: Vec::new(),
             outside: Vec::new(),
@@ -144,8 +151,25 @@ impl<'a> Within<'a> {
 
     /// Whether a point may be chosen beside the sites, where the input has this spacing.
     pub(crate) fn may_choose(&self, p: Point, spacing: Option<f32>) -> bool {
-        let clear = spacing.map_or(0.0, |spacing| CLEAR * self.sparing.radius_at(spacing));
-        self.belongs(p) && self.border(p) >= clear
+        self.belongs(p) && self.border(p) >= CLEAR * self.sparing.radius_at(spacing.unwrap_or(self.usual))
+    }
+
+    /// Farthest point sampling of `points`, all of which may be chosen, beside the sites where they have come to lie.
+    pub(crate) fn sample(
+        &self,
+        points: &[Point],
+        local: Option<&[f32]>,
+        count: usize,
+        settled: &[Point],
+    ) -> Vec<u32> {
+        let spacing = |(i, p): (usize, &Point)| {
+            let spacing = local.map_or(self.usual, |local| local[i]);
+            let radii = self.border(*p) / self.sparing.radius_at(spacing);
+            let near = ((BAND + FADES - radii) / FADES).clamp(0.0, 1.0);
+            spacing * (1.0 + WIDER * near)
+        };
+        let spacing: Vec<f32> = points.par_iter().enumerate().map(spacing).collect();
+        farthest_point_sampling_beside(points, &spacing, count, settled)
     }
 
     /// Whether so many candidates are enough.
@@ -186,9 +210,9 @@ impl<'a> Within<'a> {
             return Err(CascadeError::TooFewPoints { distinct: free.len(), duplicates: 0, needed: missing });
         }
         let points: Vec<Point> = free.iter().map(|&i| made[i]).collect();
-        let spacing: Vec<f32> = free.iter().map(|&i| local.as_ref().map_or(1.0, |l| l[i])).collect();
+        let local: Option<Vec<f32>> = local.map(|local| free.iter().map(|&i| local[i]).collect());
         let settled = [inside.as_slice(), &outside].concat();
-        let chosen = farthest_point_sampling_beside(&points, &spacing, missing, &settled);
+        let chosen = self.sample(&points, local.as_deref(), missing, &settled);
         Ok((joined(chosen.iter().map(|&i| points[i as usize]).collect(), &inside), outside))
     }
 }
