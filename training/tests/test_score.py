@@ -25,6 +25,7 @@ from densecloud_training.score import (
     stress,
     table,
     validation,
+    worst,
 )
 from densecloud_training.score.program import Program, ProgramError
 
@@ -437,6 +438,20 @@ def test_a_perfect_result_loses_to_doing_nothing_where_a_scan_is_random_and_nois
     assert clean["perfect"]["CDH"] < clean["repeated"]["CDH"] < clean["midpoints"]["CDH"]
     assert noisy["perfect"]["CDH"] > noisy["repeated"]["CDH"] and noisy["perfect"]["miss L"] < 0.2
     assert even["perfect"]["CDH"] < even["midpoints"]["CDH"] < even["repeated"]["CDH"]
+
+
+def test_the_worst_scans_are_those_that_lose_most_to_doing_nothing():
+    scores = dict.fromkeys(real.HEADER[3:], 1.0)
+    rows = [
+        real.Row(scan, "random", method, {**scores, "CDH": cdh})
+        for scan, ours, theirs in (("a", 1.0, 2.0), ("b", 3.0, 2.0), ("c", 2.5, 2.4))
+        for method, cdh in (("repeated", theirs), ("densecloud", ours))
+    ]
+    assert worst.cases(rows) == [("b", "random"), ("c", "random"), ("a", "random")]
+    # Twenty points stand where the scan has none.
+    off = np.random.default_rng(1).random((20, 3)) * 0.01 + [1.0, 1.0, 0.2]
+    ball = worst.around(grid(60), np.concatenate([grid(30), off]))
+    assert ball.contains(off).all() and ball.contains(grid(60)).any()
 
 
 def test_the_table_of_real_scans_counts_where_the_program_is_ahead():

@@ -8,7 +8,7 @@ from typing import List, Sequence
 from ..clouds import validation_names
 from ..errors import run_command
 from ..prepare import find_program
-from . import confidence, noisy, peers, pictures, plane, real, rules, stress, targets, validation
+from . import confidence, noisy, peers, pictures, plane, real, rules, stress, targets, validation, worst
 from .inputs import Inputs
 from .program import Program
 
@@ -93,7 +93,9 @@ def run(arguments: argparse.Namespace) -> None:
         write(out, "peers.md", peers.text(peers.evaluate(program, arguments.benchmark, out, only or None)))
     elif arguments.command == "real":
         only = arguments.shapes.split(",") if arguments.shapes else []
-        write(out, "real.md", real.text(*real.evaluate(program, arguments.scans, out, only)))
+        rows, facts = real.evaluate(program, arguments.scans, out, only)
+        write(out, "real.md", real.text(rows, facts))
+        print(f"the worst: {worst.draw(program, rows, out)}")
     elif arguments.command == "plane":
         write(out, "plane.md", plane.text())
     elif arguments.command == "confidence":
