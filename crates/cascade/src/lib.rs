@@ -14,6 +14,9 @@
 //!   target: the result has the size that the header promised.
 //! - Points that lie apart from all surface (outliers, groups of up to four) are kept as they are, and nothing is made
 //!   of them. They count towards the target.
+//! - Where the input lies on scan lines, dense along and thin across, the result is not made by the network but
+//!   interpolated along the lines and, where the surface goes on, between them. Not without the polish, which is the network
+//!   alone, and not where all is to be equally dense ([`Spread::Area`]).
 //! - Too few distinct points for the unit, or all of them equal, is a [`CascadeError`].
 //!
 //! # Determinism
@@ -39,6 +42,7 @@ mod flats;
 mod globals;
 mod input;
 mod level;
+mod lines;
 mod measured;
 mod observer;
 mod part;
@@ -53,6 +57,8 @@ mod sites;
 mod skip;
 mod sphere;
 mod strays;
+mod vector;
+mod weave;
 
 pub use confidence::confidence;
 #[cfg(any(test, feature = "fake"))]
@@ -78,6 +84,7 @@ use globals::Globals;
 use input::Input;
 use level::{Run, run_levels};
 use plan::Plan;
+use weave::woven;
 
 /// How to run the cascade; the defaults are what the shipped model was measured with.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -273,7 +280,13 @@ fn cascade(
     }
     run.observer.plan(&globals.sizes);
     let levels = globals.sizes.len();
-    let (dense, _) = run_levels(together, run, globals)?;
+    // Where the result is to be the network's alone, or equally dense, lines do not count.
+    let lined = run.options.polish && run.options.spread == Spread::Neighbourhood;
+    let input = lined.then(|| together.points.clone());
+    let (mut dense, _) = run_levels(together, run, globals)?;
+    if let Some(input) = input {
+        dense = woven(dense, &input);
+    }
     let dense = joined(dense, &apart);
     Ok(Upsampled {
         positions: dense.iter().map(|p| frame.to_world(*p)).collect(),

@@ -192,6 +192,31 @@ impl KdTree {
         Some(neighbour(best.keys[0]))
     }
 
+    /// The nearest of the points whose indices are `accepted`, no further than `reach`; ties by index. Looks at all
+    /// points that are nearer, and so costs as much as finding those.
+    ///
+    /// ```
+    /// use densecloud_geometry::KdTree;
+    ///
+    /// let tree = KdTree::new(&[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [5.0, 0.0, 0.0]]);
+    /// assert_eq!(tree.nearest_that([0.9, 0.0, 0.0], 9.0, |i| i != 1).map(|n| n.index), Some(0));
+    /// assert_eq!(tree.nearest_that([0.9, 0.0, 0.0], 0.5, |i| i != 1), None);
+    /// ```
+    #[must_use]
+    pub fn nearest_that(
+        &self,
+        query: Point,
+        reach: f32,
+        accepted: impl Fn(u32) -> bool,
+    ) -> Option<Neighbour> {
+        let none = u64::from((reach * reach).to_bits()) << 32 | u64::from(u32::MAX);
+        let mut best = That { key: none, accepted };
+        if !self.is_empty() {
+            self.search(query, &mut best);
+        }
+        (best.key != none).then(|| neighbour(best.key))
+    }
+
     fn search(&self, query: Point, best: &mut impl Best) {
         let offset = std::array::from_fn(|a| (self.lo[a] - query[a]).max(query[a] - self.hi[a]).max(0.0));
         self.descend(query, Place { first: 0, start: 0, end: self.len(), height: self.depth }, offset, best);
@@ -284,6 +309,24 @@ impl<const M: usize> Best for Sorted<M> {
 
     fn worst(&self) -> f32 {
         distance(self.keys[self.k - 1])
+    }
+}
+
+/// Keeps the best of the accepted keys.
+struct That<F> {
+    key: u64,
+    accepted: F,
+}
+
+impl<F: Fn(u32) -> bool> Best for That<F> {
+    fn offer(&mut self, key: u64) {
+        if key < self.key && (self.accepted)(key as u32) {
+            self.key = key;
+        }
+    }
+
+    fn worst(&self) -> f32 {
+        distance(self.key)
     }
 }
 
@@ -423,6 +466,9 @@ mod tests {
                 prop_assert_eq!(&out, &brute(&points, q, k));
                 tree.nearest_next(q, k, &mut walk);
                 prop_assert_eq!(&walk.found, &out);
+                let third = |i: u32| i % 3 == 1;
+                let nearest = brute(&points, q, n).into_iter().find(|n| third(n.index));
+                prop_assert_eq!(tree.nearest_that(q, 100.0, third), nearest);
                 prop_assert_eq!(tree.nearest_one(q), brute(&points, q, 1).first().copied());
             }
         }

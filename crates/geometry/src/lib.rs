@@ -16,6 +16,7 @@
 //! from outside drops or refuses the others first. Indices have 32 bits: what takes points takes up to [`MAX_POINTS`]
 //! of them, and panics above; who reads points from outside asks [`check_count`] first.
 
+mod axis;
 mod cells;
 mod farthest;
 mod kdtree;
@@ -31,6 +32,7 @@ mod shapes;
 mod surface_distance;
 mod uniform;
 
+pub use axis::common_axis;
 pub use cells::{Reach, cell_area, one_sided};
 pub use farthest::{farthest_point_sampling, farthest_point_sampling_beside, scaled_farthest_point_sampling};
 pub use kdtree::{KdTree, Neighbour, Walk};
