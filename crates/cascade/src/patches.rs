@@ -10,10 +10,12 @@ use super::{CascadeError, CascadeOptions, Observer, Stage, share};
 use densecloud_cloud::Point;
 use densecloud_geometry::{KdTree, Neighbour, Rng};
 
-/// Patches that may come on top of those that are seeded, as a share of these.
-const MORE: f64 = 0.02;
-/// How often patches are exchanged until there are no more: each leaves some points uncovered.
-const EXCHANGES: usize = 4;
+/// A point that lies in no patch may join one whose seed is no further from it than this many times the furthest of its points.
+const WIDER: f32 = 1.25;
+/// Patches that are looked at for such a point.
+const HOSTS: usize = 6;
+/// One in so many places of a patch, the outermost, may be given to others.
+const OUTER: usize = 4;
 
 /// Overlapping patches that cover a level's input.
 ///
@@ -39,8 +41,9 @@ pub struct Patches {
 
 impl Patches {
     /// About `overlap * n / patch_size` patches of the `patch_size` nearest points to seeds chosen
-    /// by farthest point sampling, in the `local` spacing where that is given, or to points that lie in no other patch. A
-    /// cloud no larger than a patch is one patch.
+    /// by farthest point sampling, in the `local` spacing where that is given, plus what it takes to cover every point. A point
+    /// that is little further from a seed than the patch reaches comes in its last place. A cloud no larger than a patch is
+    /// one patch.
     pub(super) fn cover(
         sites: &Arc<Sites>,
         local: Option<&[f32]>,
@@ -69,7 +72,8 @@ impl Patches {
         members.par_chunks_exact_mut(size).zip(&seeds).for_each_init(Vec::new, |found, (patch, &seed)| {
             nearest(tree, points[seed as usize], patch, found);
         });
-        cover_all(points, tree, size, &mut members);
+        admit(points, &seeds, size, &mut members);
+        add_uncovered(points, tree, size, &mut members);
         let inner = (settings.inner * size as f64).ceil() as usize;
         Ok(Self::own(Arc::clone(sites), size, inner, members))
     }
@@ -98,7 +102,7 @@ impl Patches {
         self.row_starts[p]..self.row_starts[p + 1]
     }
 
-    /// The points of patch `p`, nearest to its seed first.
+    /// The points of patch `p`, nearest to its seed first; last a few, if any, that would lie in no patch.
     #[must_use]
     pub fn members(&self, p: usize) -> &[u32] {
         &self.members[p * self.size..][..self.size]
@@ -162,21 +166,34 @@ fn nearest(tree: &KdTree, centre: Point, patch: &mut [u32], found: &mut Vec<Neig
     }
 }
 
-/// Makes every point lie in a patch: the patches that this takes come in place of those whose seeds were chosen last, so that
-/// there are about as many as before. An uneven cloud has points that are among the nearest of no seed.
-fn cover_all(points: &[Point], tree: &KdTree, size: usize, members: &mut Vec<u32>) {
-    let asked = members.len() / size;
-    let mut seeded = asked;
-    add_uncovered(points, tree, size, members);
-    for _ in 0..EXCHANGES {
-        let more = members.len() / size - asked;
-        if more as f64 <= MORE * asked as f64 {
-            break;
+/// Lets points that lie in no patch take the places of others that lie in several: an uneven cloud has some that are among the
+/// nearest of no seed, though little further from one than the points of its patch. A patch of its own for each few of them
+/// would be a tenth more work and more.
+fn admit(points: &[Point], seeds: &[u32], size: usize, members: &mut [u32]) {
+    let mut times = vec![0_u32; points.len()];
+    members.iter().for_each(|&i| times[i as usize] += 1);
+    let centres: Vec<Point> = seeds.iter().map(|&i| points[i as usize]).collect();
+    let (tree, mut found) = (KdTree::new(&centres), Vec::new());
+    for i in (0..points.len()).filter(|&i| times[i] == 0).collect::<Vec<_>>() {
+        tree.nearest(points[i], HOSTS, &mut found);
+        for host in &found {
+            let patch = &mut members[host.index as usize * size..][..size];
+            let reach = distance_squared(points[patch[size - 1] as usize], centres[host.index as usize]);
+            let outer = size - size / OUTER;
+            let Some(place) = (outer..size).rev().find(|&k| times[patch[k] as usize] > 1) else { continue };
+            if host.distance_squared <= WIDER * WIDER * reach {
+                times[patch[place] as usize] -= 1;
+                patch[place..].rotate_left(1);
+                patch[size - 1] = i as u32;
+                times[i] = 1;
+                break;
+            }
         }
-        seeded = seeded.saturating_sub(more).max(asked.div_ceil(2));
-        members.truncate(seeded * size);
-        add_uncovered(points, tree, size, members);
     }
+}
+
+fn distance_squared(p: Point, q: Point) -> f32 {
+    (0..3).map(|a| (p[a] - q[a]).powi(2)).sum()
 }
 
 /// Adds a patch around the first point that lies in none, until every point lies in one.
@@ -245,6 +262,25 @@ mod tests {
         let patches = cover(&points, 1.0);
         for i in 0..points.len() as u32 {
             assert!(patches.members.contains(&i), "point {i} lies in no patch");
+        }
+    }
+
+    #[test]
+    fn an_uneven_cloud_takes_few_patches_that_have_no_seed() {
+        let mut random = Rng::new(3);
+        // Ever denser to one side, by 10,000 from end to end, and as dense everywhere.
+        for power in [3, 0] {
+            let mut at = || {
+                let (x, y) = (random.f64(), random.f64());
+                [x.powi(1 + power) as f32, (y * x.powi(power)) as f32, 0.0]
+            };
+            let points: Vec<Point> = (0..4000).map(|_| at()).collect();
+            let sites = Arc::new(Sites::new(points));
+            let local = share::Neighbourhoods::of(&sites, &mut None, None).unwrap().spacing;
+            let settings = CascadeOptions::default();
+            let patches =
+                Patches::cover(&sites, Some(&local), 32, &settings, &mut Rng::new(0), 0, &Silent).unwrap();
+            assert!(patches.count() <= 252, "{} patches, 250 seeds", patches.count());
         }
     }
 
