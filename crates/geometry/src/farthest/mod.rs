@@ -235,11 +235,10 @@ impl Bucket {
     /// radius.
     fn rival(&self, at: Point, weight: f32, key: Key) -> bool {
         // All distances first: this loop vectorises, the next one cannot and seldom has anything to do.
-        let mut within = [false; BUCKET];
-        for i in 0..BUCKET {
+        let within: [bool; BUCKET] = std::array::from_fn(|i| {
             let d = squared([self.x[i] - at[0], self.y[i] - at[1], self.z[i] - at[2]]);
-            within[i] = (d * self.weight[i] < self.distance[i]) | (d * weight < key.distance());
-        }
+            (d * self.weight[i] < self.distance[i]) | (d * weight < key.distance())
+        });
         (0..BUCKET).any(|i| within[i] && Key::new(self.distance[i], self.index[i]) > key)
     }
 
