@@ -285,6 +285,9 @@ fn cascade(
     let input = lined.then(|| together.points.clone());
     let (mut dense, _) = run_levels(together, run, globals)?;
     if let Some(input) = input {
+        if run.observer.cancelled() {
+            return Err(CascadeError::Cancelled);
+        }
         dense = woven(dense, &input);
     }
     let dense = joined(dense, &apart);
