@@ -29,7 +29,7 @@ pub(super) struct Shares<'a> {
     /// How clean the input is, from 0 to 1.
     pub(super) trust: f32,
     /// Where the input is a part of a cloud, which of it is wanted: the candidates are of that alone, and beside them the
-    /// sites that are settled.
+    /// darts that are settled.
     pub(super) part: Option<&'a Within<'a>>,
 }
 

@@ -84,7 +84,7 @@ use globals::Globals;
 use input::Input;
 use level::{Run, run_levels};
 use plan::Plan;
-use weave::woven;
+use weave::{Cloth, woven};
 
 /// How to run the cascade; the defaults are what the shipped model was measured with.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -223,6 +223,11 @@ pub enum CascadeError {
 }
 
 impl CascadeOptions {
+    /// Whether scan lines count: not where the result is to be the network's alone, or equally dense.
+    fn heeds_lines(&self) -> bool {
+        self.polish && self.spread == Spread::Neighbourhood
+    }
+
     /// Checks each option.
     fn check(&self) -> Result<(), CascadeError> {
         if !(1.0..=100.0).contains(&self.overlap) {
@@ -280,15 +285,14 @@ fn cascade(
     }
     run.observer.plan(&globals.sizes);
     let levels = globals.sizes.len();
-    // Where the result is to be the network's alone, or equally dense, lines do not count.
-    let lined = run.options.polish && run.options.spread == Spread::Neighbourhood;
-    let input = lined.then(|| together.points.clone());
+    let input = run.options.heeds_lines().then(|| together.points.clone());
     let (mut dense, _) = run_levels(together, run, globals)?;
     if let Some(input) = input {
         if run.observer.cancelled() {
             return Err(CascadeError::Cancelled);
         }
-        dense = woven(dense, &input);
+        let ratio = dense.len() as f64 / input.len().max(1) as f64;
+        dense = woven(dense, Cloth { input: &input, ratio, belongs: &|_| true });
     }
     let dense = joined(dense, &apart);
     Ok(Upsampled {

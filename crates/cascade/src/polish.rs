@@ -140,7 +140,7 @@ impl Polish<'_> {
         if self.observer.cancelled() { Err(CascadeError::Cancelled) } else { Ok(()) }
     }
 
-    /// Which of the candidates are taken, in the order of a farthest point sampling; of a part, beside its sites.
+    /// Which of the candidates are taken, in the order of a farthest point sampling; of a part, beside its darts.
     fn choose(
         &self,
         candidates: &[Point],

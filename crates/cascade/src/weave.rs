@@ -19,15 +19,25 @@ const WAY: Point = [0.61, 0.53, 0.59];
 /// Bridges beside each other go the same way: the least cosine.
 const SIDE_BY_SIDE: f32 = 0.5;
 
-/// The `dense` cloud of an `input`, as many points, with those near lines replaced; any prefix is spread as evenly as
+/// What of a result is woven.
+#[derive(Clone, Copy)]
+pub(super) struct Cloth<'a> {
+    /// The input: the result's own, or that of a part and its halo.
+    pub(super) input: &'a [Point],
+    /// Points of the result for each of the input.
+    pub(super) ratio: f64,
+    /// Where points may be put.
+    pub(super) belongs: &'a (dyn Fn(Point) -> bool + Sync),
+}
+
+/// The `dense` cloud, as many points, with those near lines replaced; any prefix is spread as evenly as
 /// the whole. Nothing is changed where there are no lines. About as much work as the polish.
-pub(super) fn woven(dense: Vec<Point>, input: &[Point]) -> Vec<Point> {
-    let ratio = dense.len() as f64 / input.len().max(1) as f64;
+pub(super) fn woven(dense: Vec<Point>, Cloth { input, ratio, belongs }: Cloth<'_>) -> Vec<Point> {
     let across = (ratio.sqrt() - SPARE).ceil() as usize;
     let Some(lines) = (across > 1).then(|| Lines::of(input)).flatten() else { return dense };
     let (replaced, kept) = parted(dense, &lines);
     let along = ((ratio - SPARE) / across as f64).ceil() as usize;
-    let lattice = Lattice { lines: &lines, across };
+    let lattice = Lattice { lines: &lines, across, belongs };
     joined(kept, &lattice.chosen(along, replaced))
 }
 
@@ -45,6 +55,7 @@ struct Lattice<'a> {
     lines: &'a Lines<'a>,
     /// Parts that a gap is cut into.
     across: usize,
+    belongs: &'a (dyn Fn(Point) -> bool + Sync),
 }
 
 /// A point, and the spacing along its line.
@@ -78,7 +89,11 @@ impl Lattice<'_> {
         let knots = |stretch: Option<&Stretch>| {
             let mut knots: Vec<Knot> = Vec::new();
             if let Some(stretch) = stretch {
-                self.knots(stretch, own, places, |p| knots.push((p, stretch.spacing)));
+                self.knots(stretch, own, places, |p| {
+                    if (self.belongs)(p) {
+                        knots.push((p, stretch.spacing));
+                    }
+                });
             }
             knots
         };
@@ -144,6 +159,11 @@ mod tests {
     use densecloud_cloud::Position;
     use densecloud_geometry::Rng;
 
+    fn woven(dense: Vec<Point>, input: &[Point]) -> Vec<Point> {
+        let ratio = dense.len() as f64 / input.len() as f64;
+        super::woven(dense, Cloth { input, ratio, belongs: &|_| true })
+    }
+
     /// Eleven lines one apart, with ten points each to a gap; the upper ones stand higher.
     fn scan(step: f32) -> Vec<Point> {
         let mut random = Rng::new(5);
@@ -172,6 +192,18 @@ mod tests {
             counts[place.round() as usize % parts] += 1;
         }
         counts
+    }
+
+    #[test]
+    fn a_part_gets_its_share_where_it_belongs() {
+        let scan = scan(0.0);
+        let belongs = |p: Point| p[0] < 4.0;
+        let dense: Vec<Point> = about(&scan, 4).into_iter().filter(|p| belongs(*p)).collect();
+        let count = dense.len();
+        let woven = super::woven(dense, Cloth { input: &scan, ratio: 4.0, belongs: &belongs });
+        assert!(woven.len() == count && woven.iter().all(|p| belongs(*p)));
+        let counts = places(&woven, 2);
+        assert!(counts.iter().all(|n| (0.8..1.3).contains(&(2.0 * *n as f32 / count as f32))), "{counts:?}");
     }
 
     #[test]

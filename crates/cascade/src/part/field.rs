@@ -1,6 +1,6 @@
 //! How dense the whole is, coarsely: what a part cannot see beyond its halo.
 
-use super::sites::number;
+use super::darts::number;
 use crate::share::{COARSER, REGION, coarse_logarithms};
 use crate::{CascadeError, filled};
 use densecloud_cloud::Point;

@@ -2,10 +2,10 @@
 //!
 //! A cloud that is too large is cut into cells. What is made of a cell's points depends on the points around them, so a part
 //! has a halo ([`halo`]); on a few statistics of the whole, which come from [`Whole`]; and at its border on what its
-//! neighbours choose, for which both sides go by one rule (`sites.rs`).
+//! neighbours choose, for which both sides go by one rule (`darts.rs`).
 
+mod darts;
 mod field;
-mod sites;
 mod whole;
 mod within;
 
@@ -19,6 +19,7 @@ use crate::input::distinct;
 use crate::level::{Run, run_levels};
 use crate::share::Neighbourhoods;
 use crate::sites::Sites;
+use crate::weave::{Cloth, woven};
 use crate::{CascadeError, CascadeOptions, LevelRunner, Observer, Spread};
 use densecloud_cloud::{Point, Position};
 use densecloud_geometry::{Partition, check_count};
@@ -80,7 +81,8 @@ pub fn upsample_part(
         let parted = Parted::of(&input.points, runner.shape().neighbours + 1, &mut globals);
         (parted.apart, parted.together)
     };
-    let belongs = |p: &Point| part.partition.cell_of(globals.frame.to_world(*p)) == part.cell;
+    let frame = globals.frame;
+    let belongs = |p: &Point| part.partition.cell_of(frame.to_world(*p)) == part.cell;
     let apart: Vec<Point> = apart_of_all.into_iter().filter(belongs).collect();
     let inside = together.points.iter().filter(|p| belongs(p)).count();
     let size = usize::try_from(part.size).unwrap_or(usize::MAX);
@@ -91,21 +93,28 @@ pub fn upsample_part(
         return Err(CascadeError::TooFewPoints { distinct, duplicates, needed });
     }
     let size = size - apart.len();
-    let levels = part.whole.levels();
     let (dense, rim) = if inside == 0 {
         (Vec::new(), Vec::new())
     } else {
         let local = local_spacing(&together, options.spread, &mut globals)?;
-        let ratio = size as f64 / inside as f64;
+        let (levels, ratio) = (part.whole.levels(), size as f64 / inside as f64);
         let within = Within::new(part, globals.frame, ratio, size, levels, (&together.points, &local));
-        globals.plan(
-            (0..levels)
-                .map(|level| within.size_of_level(together.points.len() << level, level, level + 1 == levels))
-                .collect(),
-        );
+        drop(local);
+        let of_level =
+            |level| within.size_of_level(together.points.len() << level, level, level + 1 == levels);
+        globals.plan((0..levels).map(of_level).collect());
         observer.plan(&globals.sizes);
+        let on_lines = options.heeds_lines().then(|| together.points.clone());
         let run = Run { options, runner, observer, part: Some(&within) };
-        run_levels(together, &run, &mut globals)?
+        let (mut dense, rim) = run_levels(together, &run, &mut globals)?;
+        if let Some(input) = on_lines {
+            if observer.cancelled() {
+                return Err(CascadeError::Cancelled);
+            }
+            let belongs = |p| within.belongs(p);
+            dense = woven(dense, Cloth { input: &input, ratio, belongs: &belongs });
+        }
+        (dense, rim)
     };
     let dense = joined(dense, &apart);
     if dense.len() as u64 != part.size {
@@ -113,7 +122,7 @@ pub fn upsample_part(
         let (distinct, duplicates) = (inside, input.duplicates);
         return Err(CascadeError::TooFewPoints { distinct, duplicates, needed });
     }
-    let world = |points: Vec<Point>| points.iter().map(|p| globals.frame.to_world(*p)).collect();
+    let world = |points: Vec<Point>| points.iter().map(|p| frame.to_world(*p)).collect();
     Ok(UpsampledPart {
         positions: world(dense),
         rim: world(rim),

@@ -177,6 +177,26 @@ fn a_border_is_not_to_be_found_in_the_result() {
 }
 
 #[test]
+fn gaps_between_scan_lines_are_closed_across_borders() {
+    // Forty lines one apart, with ten points each to a gap.
+    let mut random = Rng::new(7);
+    let mut cloud = Vec::new();
+    for line in 0..40 {
+        let phase = random.f64();
+        cloud.extend((0..400).map(|k| [0.1 * (f64::from(k) + phase), f64::from(line), 0.0]));
+    }
+    let cut = Cut::new(cloud, 4, 4.0, CascadeOptions::default());
+    for cell in cut.cells() {
+        let made = cut.made(cell).unwrap().positions;
+        assert_eq!(made.len() as u64, cut.size(cell));
+        let between = made.iter().filter(|p| (p[1] - p[1].round()).abs() > 0.4).count();
+        let share = between as f64 / made.len() as f64;
+        assert!((0.4..0.6).contains(&share), "{share} of cell {cell} between lines");
+        assert!(made.iter().all(|p| cut.partition.distance(cell, *p) < 1e-3), "a point of another cell");
+    }
+}
+
+#[test]
 fn the_number_of_threads_changes_no_part() {
     let cut = Cut::new(square(1500, 20.0, 4), 4, 4.0, CascadeOptions::default());
     let on = |threads| {

@@ -3,7 +3,7 @@
 use std::collections::HashSet;
 
 use super::Part;
-use super::sites::{BAND, Site, Sparing, sites};
+use super::darts::{BAND, Dart, Sparing, darts};
 use crate::CascadeError;
 use crate::apart::joined;
 use crate::strays::Kept;
@@ -11,12 +11,12 @@ use densecloud_cloud::{Frame, Point};
 use densecloud_geometry::{KdTree, Partition, farthest_point_sampling_beside};
 use rayon::prelude::*;
 
-/// The radius of sites, in the spacing of the result: so they are as dense as what farthest point sampling chooses.
+/// The radius of darts, in the spacing of the result: so they are as dense as what farthest point sampling chooses.
 const RADIUS: f32 = 0.84;
 /// Other points lie no nearer to the border than this many radii: those of the other side do not either.
 const CLEAR: f32 = 0.5;
-/// Between sites other points find less room than among themselves: at equal distances they would be denser, so they are
-/// chosen this much further apart, as a share; within so many radii of the sites that fades out.
+/// Between darts other points find less room than among themselves: at equal distances they would be denser, so they are
+/// chosen this much further apart, as a share; within so many radii of the darts that fades out.
 const WIDER: f32 = 0.12;
 const FADES: f32 = 2.0;
 /// The radius of a patch, in the spacing of its points, and some.
@@ -51,9 +51,9 @@ pub(crate) struct Within<'a> {
     usual: f32,
     /// Points of the result in the cell.
     size: usize,
-    /// Sites in the cell.
+    /// Darts in the cell.
     inside: Vec<Point>,
-    /// Sites just outside.
+    /// Darts just outside.
     outside: Vec<Point>,
 }
 
@@ -82,12 +82,12 @@ impl<'a> Within<'a> {
             outside: Vec::new(),
         };
         let border = |p: Point| within.border(p);
-        let found = sites(points, spacing, sparing, &border);
-        let near = |site: &Site| within.distance(site.at) <= 2.0 * BAND * sparing.radius_at(site.spacing);
-        let (inside, outside): (Vec<Site>, Vec<Site>) =
-            found.into_iter().filter(near).partition(|site| within.belongs(site.at));
-        within.inside = inside.iter().map(|site| site.at).take(size).collect();
-        within.outside = outside.iter().map(|site| site.at).collect();
+        let found = darts(points, spacing, sparing, &border);
+        let near = |dart: &Dart| within.distance(dart.at) <= 2.0 * BAND * sparing.radius_at(dart.spacing);
+        let (inside, outside): (Vec<Dart>, Vec<Dart>) =
+            found.into_iter().filter(near).partition(|dart| within.belongs(dart.at));
+        within.inside = inside.iter().map(|dart| dart.at).take(size).collect();
+        within.outside = outside.iter().map(|dart| dart.at).collect();
         within
     }
 
@@ -119,12 +119,12 @@ impl<'a> Within<'a> {
         self.size - self.inside.len()
     }
 
-    /// The sites: those in the cell, then those outside.
+    /// The darts: those in the cell, then those outside.
     pub(crate) fn settled(&self) -> Vec<Point> {
         [self.inside.as_slice(), &self.outside].concat()
     }
 
-    /// The sites in the cell.
+    /// The darts in the cell.
     pub(crate) fn settled_inside(&self) -> &[Point] {
         &self.inside
     }
@@ -149,12 +149,12 @@ impl<'a> Within<'a> {
         indices.retain(|_| of.next().expect("one each"));
     }
 
-    /// Whether a point may be chosen beside the sites, where the input has this spacing.
+    /// Whether a point may be chosen beside the darts, where the input has this spacing.
     pub(crate) fn may_choose(&self, p: Point, spacing: Option<f32>) -> bool {
         self.belongs(p) && self.border(p) >= CLEAR * self.sparing.radius_at(spacing.unwrap_or(self.usual))
     }
 
-    /// Farthest point sampling of `points`, all of which may be chosen, beside the sites where they have come to lie.
+    /// Farthest point sampling of `points`, all of which may be chosen, beside the darts where they have come to lie.
     pub(crate) fn sample(
         &self,
         points: &[Point],
@@ -181,14 +181,14 @@ impl<'a> Within<'a> {
         Err(CascadeError::TooFewPoints { distinct: candidates, duplicates: 0, needed })
     }
 
-    /// The result: `chosen` points with the sites of the cell strewn among them; and the sites outside. `settled`: all sites,
+    /// The result: `chosen` points with the darts of the cell strewn among them; and the darts outside. `settled`: all darts,
     /// where they have come to lie.
     pub(crate) fn joined(&self, chosen: Vec<Point>, mut settled: Vec<Point>) -> (Vec<Point>, Vec<Point>) {
         let outside = settled.split_off(self.inside.len());
         (joined(chosen, &settled), outside)
     }
 
-    /// Chooses the result among what the last unit made: the points nearest to the sites, and others beside them.
+    /// Chooses the result among what the last unit made: the points nearest to the darts, and others beside them.
     pub(crate) fn choose(
         &self,
         made: &[Point],
@@ -196,8 +196,8 @@ impl<'a> Within<'a> {
     ) -> Result<(Vec<Point>, Vec<Point>), CascadeError> {
         let tree = KdTree::new(made);
         let (mut taken, mut inside, mut outside) = (HashSet::new(), Vec::new(), Vec::new());
-        for (i, site) in self.inside.iter().chain(&self.outside).enumerate() {
-            let nearest = tree.nearest_one(*site).map(|n| n.index).filter(|i| taken.insert(*i));
+        for (i, dart) in self.inside.iter().chain(&self.outside).enumerate() {
+            let nearest = tree.nearest_one(*dart).map(|n| n.index).filter(|i| taken.insert(*i));
             let snapped = nearest.map(|i| made[i as usize]);
             if i < self.inside.len() { inside.extend(snapped) } else { outside.extend(snapped) }
         }

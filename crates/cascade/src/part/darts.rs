@@ -13,34 +13,34 @@ use crate::polish::{midpoints, rings};
 use densecloud_cloud::Point;
 use densecloud_geometry::{KdTree, Neighbour, Walk, indices, project_to_surface};
 
-/// Sites lie no further from the border than this many of their radii: points nearer than one push each other apart.
+/// Darts lie no further from the border than this many of their radii: points nearer than one push each other apart.
 pub(super) const BAND: f32 = 3.0;
-/// What decides about a site lies within this many radii of it.
+/// What decides about a dart lies within this many radii of it.
 const CHAIN: f32 = 8.0;
 /// What decides about a candidate lies within this many spacings of it.
 const RINGS: f32 = 4.0;
 /// Candidates for each point of the result, at least; and for each candidate of the round before, about.
 const CANDIDATES: f64 = 3.5;
 const A_ROUND: f64 = 4.0;
-/// Sites are chosen this many radii from each other first, and then in the gaps.
+/// Darts are chosen this many radii from each other first, and then in the gaps.
 const SCALES: [f32; 3] = [1.6, 1.25, 1.0];
 /// Neighbours of a candidate that are looked at: more than lie within its radius at the first scale.
 const LOOKED_AT: usize = 40;
 
 /// A point of the result near a border.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Site {
+pub(super) struct Dart {
     pub(super) at: Point,
     /// The spacing of the input there.
     pub(super) spacing: f32,
 }
 
-/// How far apart sites are.
+/// How far apart darts are.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Sparing {
     /// Points of the result for each of the input.
     pub(super) ratio: f64,
-    /// The radius within which there is no other site, in the spacing that the result has there.
+    /// The radius within which there is no other dart, in the spacing that the result has there.
     pub(super) radius: f32,
 }
 
@@ -57,20 +57,20 @@ struct Candidates {
     spacing: Vec<f32>,
 }
 
-/// Chooses the sites about the border from which each point is as far as `border` says: they depend on the `points` within a
+/// Chooses the darts about the border from which each point is as far as `border` says: they depend on the `points` within a
 /// few spacings of it alone. `spacing`: of the input at each point. O(n log n) for n points near the border.
-pub(super) fn sites(
+pub(super) fn darts(
     points: &[Point],
     spacing: &[f32],
     sparing: Sparing,
     border: &(dyn Fn(Point) -> f32 + Sync),
-) -> Vec<Site> {
+) -> Vec<Dart> {
     let candidates = Candidates::of(points, spacing, sparing, border);
-    let sites = candidates
+    let darts = candidates
         .chosen(sparing)
         .into_iter()
-        .map(|i| Site { at: candidates.at[i as usize], spacing: candidates.spacing[i as usize] });
-    sites.filter(|site| border(site.at) <= BAND * sparing.radius_at(site.spacing)).collect()
+        .map(|i| Dart { at: candidates.at[i as usize], spacing: candidates.spacing[i as usize] });
+    darts.filter(|dart| border(dart.at) <= BAND * sparing.radius_at(dart.spacing)).collect()
 }
 
 impl Candidates {
@@ -125,7 +125,7 @@ impl Candidates {
         self
     }
 
-    /// The candidates that are sites, in the order of their numbers.
+    /// The candidates that are darts, in the order of their numbers.
     fn chosen(&self, sparing: Sparing) -> Vec<u32> {
         let tree = KdTree::new(&self.at);
         let near = |walk: &mut Walk, i: u32| -> Vec<Neighbour> {
@@ -175,15 +175,15 @@ mod tests {
     }
 
     #[test]
-    fn sites_are_even_and_depend_on_what_is_near_alone() {
+    fn darts_are_even_and_depend_on_what_is_near_alone() {
         for (even, noise) in [(true, 0.0), (false, 0.0), (true, 0.6)] {
             let spacing = (1.0 / 2000_f32).sqrt();
             let points = plane(2000, even, noise * spacing, 1);
             let sparing = Sparing { ratio: 4.0, radius: 0.8 };
             let radius = sparing.radius_at(spacing);
             let border = |p: Point| (p[0] - 0.5).abs();
-            let all = sites(&points, &vec![spacing; points.len()], sparing, &border);
-            let at: Vec<Point> = all.iter().map(|site| site.at).collect();
+            let all = darts(&points, &vec![spacing; points.len()], sparing, &border);
+            let at: Vec<Point> = all.iter().map(|dart| dart.at).collect();
             // As many as fit, along a line across the square.
             let share = at.len() as f32 / (2.0 * BAND * radius) * spacing * spacing / 4.0;
             assert!((0.5..1.0).contains(&share), "{share} of what is wanted");
@@ -194,7 +194,7 @@ mod tests {
                 assert!(found[1].distance_squared.sqrt() > least * radius && border(*p) <= BAND * radius);
             }
             let near: Vec<Point> = points.iter().copied().filter(|p| border(*p) < 0.35).collect();
-            assert_eq!(sites(&near, &vec![spacing; near.len()], sparing, &border), all);
+            assert_eq!(darts(&near, &vec![spacing; near.len()], sparing, &border), all);
         }
     }
 }
