@@ -166,6 +166,25 @@ impl Values {
         gathered!(I8, U8, I16, U16, I32, U32, I64, U64, F32, F64)
     }
 
+    /// The numbers in another type, as `as` has them: exactly, where that type holds them.
+    #[must_use]
+    #[allow(clippy::unnecessary_cast, clippy::cast_lossless, reason = "one expression for every type")]
+    pub fn cast(self, kind: Kind) -> Self {
+        if self.kind() == kind {
+            return self;
+        }
+        macro_rules! cast {
+            ($($kind:ident $number:ty),*) => {
+                match kind {
+                    $(Kind::$kind => {
+                        Self::$kind(each_kind!(self, column => column.iter().map(|n| *n as $number).collect()))
+                    })*
+                }
+            };
+        }
+        cast!(I8 i8, U8 u8, I16 i16, U16 u16, I32 i32, U32 u32, I64 i64, U64 u64, F32 f32, F64 f64)
+    }
+
     /// Moves all numbers of `other` to the end of this column.
     ///
     /// # Panics
@@ -251,5 +270,7 @@ mod tests {
         let column = Values::I64(vec![i64::MAX, 3]);
         assert_eq!(column.gather(&[1, 0, 0]), Values::I64(vec![3, i64::MAX, i64::MAX]));
         assert_eq!((column.len(), column.kind(), column.get(1)), (2, Kind::I64, 3.0));
+        assert_eq!(column.clone().cast(Kind::I64), column);
+        assert_eq!(column.cast(Kind::U64), Values::U64(vec![(1 << 63) - 1, 3]), "exactly");
     }
 }

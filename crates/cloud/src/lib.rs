@@ -4,6 +4,7 @@
 mod attribute;
 mod axes;
 mod extra;
+mod facts;
 mod frame;
 mod name;
 mod origin;
@@ -12,6 +13,7 @@ mod role;
 pub use attribute::{Attribute, Kind, Values, bytes_a_point};
 pub use axes::{AmbiguousAxes, Axes, axes_of};
 pub use extra::{Extra, FormatExtra};
+pub use facts::{Facts, FactsSeen};
 pub use frame::{Frame, FrameError};
 pub use origin::{Column, Crs, Named, Origin, Sensors, Table};
 pub use role::{Role, column_of, roles_of};

@@ -72,6 +72,7 @@ mod ply;
 mod ptx;
 mod xyz;
 
+pub use convert::Adaptation;
 pub use error::{FormatError, Place};
 pub use first_bytes::FirstBytes;
 pub use format::{Header, Limits, Scalar};

@@ -1,6 +1,6 @@
 //! What becomes of each attribute, decided once for a whole cloud.
 
-use densecloud_cloud::{Attribute, Role, Values, roles_of};
+use densecloud_cloud::{Attribute, Facts, Role, roles_of};
 
 use super::rules::{Rule, Rules, usual};
 
@@ -66,10 +66,17 @@ const HARMONICS: [Role; 4] = [Role::HarmonicRed, Role::HarmonicGreen, Role::Harm
 impl Plan {
     /// Decides for the attributes of a whole cloud.
     ///
-    /// Cost: a pass over the floats, which ends at the first that is not whole; over flags, a whole one.
+    /// Cost: a pass over those whose numbers decide: floats whose name does not, and flags.
     #[must_use]
     pub fn of(attributes: &[Attribute], set: &Rules) -> Self {
-        Planner::new(attributes, set).plan()
+        Self::by_facts(attributes, set, &|i| Facts::of(&attributes[i].values))
+    }
+
+    /// As [`of`](Self::of), of attributes whose values are elsewhere: `facts` tells of each, by its place, what they are
+    /// like. O(1) an attribute.
+    #[must_use]
+    pub fn by_facts(attributes: &[Attribute], set: &Rules, facts: &dyn Fn(usize) -> Facts) -> Self {
+        Planner::new(attributes, set, facts).plan()
     }
 
     /// The rule of each attribute, in their order. Those of one quantity have the rule [`Rule::Mean`].
@@ -114,6 +121,8 @@ fn sets(roles: &[Option<Role>], wanted: &[Role]) -> Vec<Vec<usize>> {
 /// A plan in the making.
 struct Planner<'a> {
     attributes: &'a [Attribute],
+    /// What the numbers of each are like.
+    facts: &'a dyn Fn(usize) -> Facts,
     /// The rules that are set, if one is.
     set: Vec<Option<Rule>>,
     roles: Vec<Option<Role>>,
@@ -126,11 +135,12 @@ struct Planner<'a> {
 }
 
 impl<'a> Planner<'a> {
-    fn new(attributes: &'a [Attribute], rules: &Rules) -> Self {
+    fn new(attributes: &'a [Attribute], rules: &Rules, facts: &'a dyn Fn(usize) -> Facts) -> Self {
         let names: Vec<&str> = attributes.iter().map(|a| a.name.as_str()).collect();
         let count = attributes.len();
         Self {
             attributes,
+            facts,
             set: names.iter().map(|name| rules.set_for(name)).collect(),
             roles: roles_of(&names),
             flags: vec![Vec::new(); count],
@@ -172,7 +182,7 @@ impl<'a> Planner<'a> {
     fn find_flags(&mut self) {
         for flag in 0..self.attributes.len() {
             let about = self.flagged_by(flag);
-            if about.is_empty() || !is_flag(&self.attributes[flag].values) {
+            if about.is_empty() || !(self.facts)(flag).is_flag {
                 continue;
             }
             for column in about {
@@ -255,7 +265,8 @@ impl<'a> Planner<'a> {
             return;
         }
         let Attribute { name, values } = &self.attributes[i];
-        match self.set[i].unwrap_or_else(|| usual(self.roles[i], name, values)) {
+        let usual = || usual(self.roles[i], name, values.kind(), || (self.facts)(i));
+        match self.set[i].unwrap_or_else(usual) {
             Rule::Mean => self.place(How::Mean, vec![i]),
             Rule::Nearest => self.place(How::Nearest, vec![i]),
             Rule::Drop => {}
@@ -263,15 +274,10 @@ impl<'a> Planner<'a> {
     }
 }
 
-/// Whether all numbers are 0, 1 or not told, and there is one.
-fn is_flag(values: &Values) -> bool {
-    let flag = |v: f64| v == 0.0 || v == 1.0 || v.is_nan();
-    (0..values.len()).all(|i| flag(values.get(i))) && !values.is_empty()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use densecloud_cloud::Values;
 
     fn floats(name: &str) -> Attribute {
         Attribute { name: name.into(), values: Values::F32(vec![0.5, 0.25, 0.75]) }

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, HashSet};
 use std::fmt;
 use std::str::FromStr;
 
-use densecloud_cloud::{Role, Values};
+use densecloud_cloud::{Facts, Kind, Role};
 
 /// How a new point comes by its value of an attribute.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -139,11 +139,11 @@ impl Rules {
 /// The rule of an attribute for which none is set.
 ///
 /// A role decides first, then a word in the name, then the type: integers are from the nearest point. Of floats that do not
-/// measure something by their name the values decide: whole numbers that repeat ([`are_names`]) number something.
-pub(super) fn usual(role: Option<Role>, name: &str, values: &Values) -> Rule {
+/// measure something by their name the values decide: whole numbers that [repeat](Facts::repeats) number something.
+pub(super) fn usual(role: Option<Role>, name: &str, kind: Kind, facts: impl FnOnce() -> Facts) -> Rule {
     let nearest = match role {
         Some(role) => !varies(role),
-        None => numbers_something(name) || !values.kind().is_float() || !measures(name) && are_names(values),
+        None => numbers_something(name) || !kind.is_float() || !measures(name) && facts().repeats,
     };
     if nearest { Rule::Nearest } else { Rule::Mean }
 }
@@ -213,34 +213,6 @@ fn has_word(name: &str, is_one: impl Fn(&str) -> bool) -> bool {
     false
 }
 
-/// Most different numbers that are counted, so that the count takes little memory.
-const MOST_DIFFERENT: usize = 1 << 20;
-
-/// Whether numbers number something, as far as they tell: all are whole (NaNs aside), and each stands at two points on
-/// average or more, so there are at most half as many different ones as there are numbers, and at most [`MOST_DIFFERENT`].
-///
-/// O(n), but mostly done at the first number that is not whole.
-fn are_names(values: &Values) -> bool {
-    let mut different: HashSet<u64> = HashSet::new();
-    let mut count = 0;
-    for i in 0..values.len() {
-        let number = values.get(i);
-        if number.is_nan() {
-            continue;
-        }
-        if number.fract() != 0.0 {
-            return false;
-        }
-        count += 1;
-        // Zero has two signs.
-        different.insert((number + 0.0).to_bits());
-        if different.len() > MOST_DIFFERENT.min(values.len() / 2) {
-            return false;
-        }
-    }
-    count > 0 && 2 * different.len() <= count
-}
-
 /// As [`FromStr`] reads it, by names; nothing where no rule is set.
 impl fmt::Display for Rules {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -284,7 +256,7 @@ impl FromStr for Rules {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use densecloud_cloud::Kind;
+    use densecloud_cloud::Values;
 
     /// Numbers that say nothing.
     fn reals(kind: Kind) -> Values {
@@ -292,7 +264,7 @@ mod tests {
     }
 
     fn by_name(name: &str, values: &Values) -> Rule {
-        usual(Role::of(name), name, values)
+        usual(Role::of(name), name, values.kind(), || Facts::of(values))
     }
 
     #[test]
@@ -352,8 +324,8 @@ mod tests {
         assert_eq!(of(Vec::new()), Rule::Mean);
         let many =
             |count: u32| by_name("tree", &Values::F32((0..2 * count).map(|i| (i / 2) as f32).collect()));
-        assert_eq!(many(MOST_DIFFERENT as u32), Rule::Nearest);
-        assert_eq!(many(MOST_DIFFERENT as u32 + 1), Rule::Mean);
+        assert_eq!(many(Facts::MOST_DIFFERENT as u32), Rule::Nearest);
+        assert_eq!(many(Facts::MOST_DIFFERENT as u32 + 1), Rule::Mean);
         // What the name says is not up to the numbers.
         for name in
             ["intensity", "Red", "elevation", "temperature", "CanopyHeight", "scalar_C2C_dist", "signal"]
@@ -365,7 +337,7 @@ mod tests {
     /// The rows of the table of roles, as documented.
     fn documented() -> String {
         let row = |role: Role| {
-            let rule = usual(Some(role), "", &reals(Kind::F32));
+            let rule = usual(Some(role), "", Kind::F32, || Facts::of(&reals(Kind::F32)));
             let others: Vec<String> = role.others().iter().map(|name| format!("`{name}`")).collect();
             let number = if role == Role::Harmonic { "_0` and so on" } else { "`" };
             format!("| `{}{number} | {} | {rule} |\n", role.name(), others.join(", "))
