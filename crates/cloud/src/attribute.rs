@@ -9,6 +9,14 @@ pub struct Attribute {
     pub values: Values,
 }
 
+impl Attribute {
+    /// Its name and type.
+    #[must_use]
+    pub fn without_values(&self) -> Self {
+        Self { name: self.name.clone(), values: Values::new(self.values.kind()) }
+    }
+}
+
 /// A type of number.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kind {

@@ -18,7 +18,8 @@ pub struct Facts {
     /// The largest that is not NaN; negative infinity where there is none.
     pub most: f64,
     /// Whether all are whole, and each stands at two points on average or more: at most half as many different ones as
-    /// there are numbers, and at most [`Facts::MOST_DIFFERENT`].
+    /// there are numbers, and at most [`Facts::MOST_DIFFERENT`]. Never where there are integers of up to 32 bits among them,
+    /// which are not counted.
     pub repeats: bool,
     /// Whether all are 0, 1 or NaN, and there is one.
     pub is_flag: bool,
@@ -65,6 +66,10 @@ impl FactsSeen {
     /// Takes note of further numbers. O(n).
     #[allow(clippy::unnecessary_cast, clippy::cast_lossless, reason = "one expression for every type")]
     pub fn see(&mut self, values: &Values) {
+        let kind = values.kind();
+        if !kind.is_float() && kind.size() < 8 && !values.is_empty() {
+            self.different = None;
+        }
         each_kind!(values, column => column.iter().for_each(|number| self.see_one(*number as f64)));
     }
 
@@ -107,7 +112,7 @@ mod tests {
 
     #[test]
     fn facts_are_those_of_all_parts_together() {
-        let parts = [Values::I64(vec![3, -1]), Values::F64(vec![f64::NAN, 3.0]), Values::U8(vec![3])];
+        let parts = [Values::I64(vec![3, -1]), Values::F64(vec![f64::NAN, 3.0]), Values::U64(vec![3])];
         let mut seen = FactsSeen::default();
         parts.iter().for_each(|part| seen.see(part));
         let expected = Facts {

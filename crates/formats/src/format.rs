@@ -7,9 +7,10 @@ use super::reader::CloudReader;
 use super::registry::{self, Format};
 use super::{FormatError, Reading};
 use densecloud_cloud::{Attribute, Origin, Position};
+use serde::{Deserialize, Serialize};
 
 /// The type of written coordinates.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Scalar {
     /// 32-bit floats.
     F32,
@@ -189,6 +190,22 @@ impl Format {
     #[must_use]
     pub fn is_streamed(self) -> bool {
         self.ask(|format| format.is_streamed())
+    }
+
+    /// Whether [`CloudPlan`](super::CloudPlan) writes it, and no memory needs to hold a whole cloud: all that is written but
+    /// E57 and compressed PCD.
+    #[must_use]
+    pub fn is_made_in_parts(self) -> bool {
+        self.ask(|format| format.is_made_in_parts())
+    }
+
+    /// Extensions of what is [made in parts](Self::is_made_in_parts).
+    #[must_use]
+    pub fn endings_of_parts() -> Vec<String> {
+        let is_one = |ending: &String| {
+            Self::from_extension(format!("cloud{ending}").as_ref()).is_some_and(Self::is_made_in_parts)
+        };
+        registry::endings().into_iter().filter(is_one).collect()
     }
 
     /// What a file of this format has no place for, a phrase each: of the attributes and of what else is

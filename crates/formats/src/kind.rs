@@ -147,6 +147,12 @@ pub(crate) trait Choices: fmt::Display {
     /// Whether each block's bytes are made as it is written, and none are held back to the end.
     fn is_streamed(&self) -> bool;
 
+    /// Whether a file can be made of points that are given in parts ([`begin`](Self::begin),
+    /// [`first_pass`](Self::first_pass)), and not only of a whole cloud.
+    fn is_made_in_parts(&self) -> bool {
+        true
+    }
+
     /// The exact length of a file, where it depends on the number of points and on nothing else of them.
     fn encoded_len(&self, _points: u64, _attributes: &[Attribute], _origin: &Origin) -> Option<u64> {
         None
@@ -262,6 +268,10 @@ impl<T: ReadOnly> Choices for T {
         false
     }
 
+    fn is_made_in_parts(&self) -> bool {
+        false
+    }
+
     fn begin(&self, _points: u64, _attributes: &[Attribute], _origin: &Origin) -> Result<Begun, FormatError> {
         Err(FormatError::read_only(self))
     }
@@ -288,6 +298,11 @@ pub(crate) trait FirstPass: Send {
     /// # Errors
     /// The cloud holds what the format does not.
     fn begin(self: Box<Self>) -> Result<Begun, FormatError>;
+
+    /// As [`Choices::renamed`], of all points that were seen; none where that does not depend on them.
+    fn renamed(&self) -> Option<Vec<(String, String)>> {
+        None
+    }
 }
 
 /// Makes the bytes of points, a block at a time.

@@ -156,8 +156,12 @@ impl<'r> CloudReader<'r> {
         Self::open_input(Input::of_file(file)?, limits, reading, None)
     }
 
-    /// As [`open_file_as`](Self::open_file_as), without limits; the file's name may tell what its content does not.
-    pub(crate) fn open_path(path: &Path, reading: &Reading) -> Result<CloudReader<'static>, FormatError> {
+    /// As [`open_file_as`](Self::open_file_as), without limits; the file's name may tell what its content does not, as
+    /// [`read_cloud_file`] has it.
+    ///
+    /// # Errors
+    /// As [`open_as`](Self::open_as), or the file cannot be opened.
+    pub fn open_path(path: &Path, reading: &Reading) -> Result<CloudReader<'static>, FormatError> {
         let input = Input::of_file(File::open(path)?)?;
         CloudReader::open_input(input, Limits::default(), reading, Some(path))
     }

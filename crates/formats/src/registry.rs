@@ -19,7 +19,7 @@ macro_rules! formats {
     )+) => {
         /// A file format and the choices within it. A reader reports it and a writer takes it, so that a
         /// cloud goes back in the form it came in.
-        #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+        #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
         pub enum Format {
             $( $(#[$doc])* $name $({ $( $(#[$field_doc])* $field: $type ),+ })?, )+
         }
@@ -43,7 +43,8 @@ macro_rules! formats {
             }
 
             /// A word for the kind of format, whatever the choices within it.
-            pub(crate) fn kind(self) -> &'static str {
+            #[must_use]
+            pub fn kind(self) -> &'static str {
                 match self {
                     $( Self::$name { .. } => stringify!($module), )+
                 }

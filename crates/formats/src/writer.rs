@@ -5,7 +5,7 @@ use std::io::{self, Read, Write};
 use super::kind::{Begun, FirstPass, Rows};
 use super::spool::Spool;
 use super::{Format, FormatError};
-use densecloud_cloud::{Attribute, Kind, Origin, Position, Values};
+use densecloud_cloud::{Attribute, Kind, Origin, Position};
 
 /// Points encoded between two writes to the sink.
 const BLOCK: usize = 4096;
@@ -104,9 +104,8 @@ impl CloudPlan {
     /// Nothing seen, of a cloud with attributes of these names and types.
     #[must_use]
     pub fn new(format: Format, attributes: &[Attribute], origin: &Origin) -> Self {
-        let bare = |a: &Attribute| Attribute { name: a.name.clone(), values: Values::new(a.values.kind()) };
         let pass = format.ask(|format| format.first_pass(attributes, origin));
-        let attributes = attributes.iter().map(bare).collect();
+        let attributes = attributes.iter().map(Attribute::without_values).collect();
         Self { format, attributes, origin: origin.clone(), points: 0, pass }
     }
 
@@ -126,6 +125,20 @@ impl CloudPlan {
         assert_kinds(attributes, &kinds(&self.attributes));
         self.points += positions.len() as u64;
         self.pass.as_mut().map_or(Ok(()), |pass| pass.see(positions, attributes, from))
+    }
+
+    /// Whether the header depends on more of the points than their number; if not, [`CloudWriter::with`] begins the same
+    /// file of points that nobody has seen.
+    #[must_use]
+    pub fn needs_points(&self) -> bool {
+        self.pass.is_some()
+    }
+
+    /// As [`Format::renamed`], of the points that were seen.
+    #[must_use]
+    pub fn renamed(&self) -> Vec<(String, String)> {
+        let told = self.pass.as_ref().and_then(|pass| pass.renamed());
+        told.unwrap_or_else(|| self.format.renamed(&self.attributes, &self.origin))
     }
 
     /// Writes the header of a cloud of all points that were seen.

@@ -41,6 +41,7 @@
 
 pub mod attributes;
 mod options;
+mod outline;
 mod parameters;
 mod prepared;
 pub mod provenance;
@@ -55,7 +56,8 @@ pub use densecloud_formats as formats;
 pub use densecloud_geometry as geometry;
 
 pub use options::{OptionError, Options};
+pub use outline::{Outline, Outlined};
 pub use parameters::{PARAMETERS, Parameter, Topic, Value};
-pub use prepared::{PrepareError, Prepared, Report};
+pub use prepared::{PrepareError, Prepared, Report, check_rules};
 pub use request::{Made, Request};
 pub use upsampler::{Dense, Input, UpsampleError, Upsampler};

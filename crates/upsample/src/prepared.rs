@@ -1,12 +1,12 @@
 //! From a cloud and options to all that is known before the work: the same behind every door.
 
 use densecloud_backends::ModelName;
-use densecloud_cloud::{Cloud, Origin, Table};
+use densecloud_cloud::{Attribute, Cloud, Facts, Origin, Table};
 use densecloud_formats::Format;
 use densecloud_geometry::{TooManyPoints, check_count};
 
 use crate::options::Options;
-use crate::provenance;
+use crate::outline::{Outline, Outlined};
 use crate::request::{Made, Request};
 use crate::survey::{self, GoalError, Survey};
 
@@ -26,7 +26,8 @@ pub struct Report {
     pub format: Format,
     /// What the result's file tells of the whole, provenance among it.
     pub origin: Origin,
-    /// Which program, model, settings and input make the result; see [`provenance::line`].
+    /// Which program, model, settings and input make the result; see
+    /// [`provenance::line`](crate::provenance::line).
     pub provenance: String,
     /// Points in the input, those that are not finite included.
     pub points_in: u64,
@@ -82,38 +83,29 @@ impl Prepared {
         options: Options,
         model: &ModelName,
     ) -> Result<Self, PrepareError> {
-        let Options { goal, cascade: settings, finish, reading, format: wanted } = options;
         let points = cloud.positions.len();
         if let Some(odd) = cloud.attributes.iter().find(|attribute| attribute.values.len() != points) {
             let (name, values) = (odd.name.clone(), odd.values.len());
             return Err(PrepareError::AttributeLength { name, values, points });
         }
-        let names: Vec<&str> = cloud.attributes.iter().map(|a| a.name.as_str()).collect();
-        if let Some(name) = finish.rules.unknown(&names).next() {
-            let known = names.iter().map(|&name| name.to_owned()).collect();
-            return Err(PrepareError::UnknownAttribute { name: name.to_owned(), known });
-        }
-        check_count(cloud.positions.len())?;
-        let points_in = cloud.positions.len() as u64;
-        let target = goal.target(&cloud.positions)?;
-        let mut warnings = cloud.warnings();
-        let mut format = Format::of_result(wanted, input, !cloud.attributes.is_empty());
-        let mut points_out = 0;
-        if let Ok(survey) = Survey::of(&cloud.positions, survey::GLANCE) {
-            warnings.extend(survey.warnings(input.scalar()));
-            // Where it is impossible, the cascade says so.
-            points_out = target.points_out(survey.finite as u64).unwrap_or_default();
-            format = format.fine_enough(survey.bounds, survey.result_spacing(points_out));
-        }
-        warnings.extend(input.adapt(&mut cloud.attributes, format));
-        let (mut origin, lost) = finish.origin(&cloud);
-        warnings.extend(lost);
-        let request = Request::new(cloud, target, settings, finish);
-        warnings.extend_from_slice(request.plan.warnings());
-        warnings.extend(request.finish.warnings(&request.cloud.attributes, &request.plan));
-        let provenance = provenance::line(model, &request, &reading);
-        origin.comments.push(provenance.clone());
-        let report = Report { format, origin, provenance, points_in, points_out, warnings };
+        check_rules(&options, &cloud.attributes)?;
+        check_count(points)?;
+        let outline = Outline {
+            attributes: &cloud.attributes,
+            facts: &|i| Facts::of(&cloud.attributes[i].values),
+            origin: &cloud.origin,
+            told: cloud.warnings(),
+            points: points as u64,
+            is_finite: cloud.positions.as_flattened().iter().all(|c| c.is_finite()),
+            target: options.goal.target(&cloud.positions)?,
+            survey: Survey::of(&cloud.positions, survey::GLANCE).ok(),
+            tile_points: None,
+        };
+        let Outlined { report, adaptation, plan } = outline.outlined(input, &options, model);
+        let target = outline.target;
+        adaptation.apply(&mut cloud.attributes);
+        let Options { cascade: settings, finish, .. } = options;
+        let request = Request { cloud, target, settings, finish, plan };
         Ok(Self { request, report })
     }
 
@@ -130,6 +122,17 @@ impl Prepared {
     }
 }
 
+/// Checks that the rules of the options are for attributes that there are.
+///
+/// # Errors
+/// [`PrepareError::UnknownAttribute`].
+pub fn check_rules(options: &Options, attributes: &[Attribute]) -> Result<(), PrepareError> {
+    let names: Vec<&str> = attributes.iter().map(|a| a.name.as_str()).collect();
+    let Some(name) = options.finish.rules.unknown(&names).next() else { return Ok(()) };
+    let known = names.iter().map(|&name| name.to_owned()).collect();
+    Err(PrepareError::UnknownAttribute { name: name.to_owned(), known })
+}
+
 impl Report {
     /// Adds what is known once the result is there: how many points it has, what was done to the input, what its format
     /// has no place for, and what has another name there.
@@ -137,10 +140,14 @@ impl Report {
         self.points_out = made.positions.len() as u64;
         self.warnings.extend(made.warnings());
         let lost = self.format.cannot_hold(&made.attributes, &self.origin);
+        self.tell_losses(&lost, &self.format.renamed(&made.attributes, &self.origin));
+    }
+
+    /// Adds what the result's format has no place for, and which names become others.
+    pub fn tell_losses(&mut self, lost: &[String], renamed: &[(String, String)]) {
         if !lost.is_empty() {
             self.warnings.push(format!("the result's format has no place for {}", lost.join(", ")));
         }
-        let renamed = self.format.renamed(&made.attributes, &self.origin);
         if !renamed.is_empty() {
             let pairs: Vec<String> = renamed.iter().map(|(from, to)| format!("{from:?} as {to:?}")).collect();
             self.warnings.push(format!("in the result's file, names are others: {}", pairs.join(", ")));
@@ -151,7 +158,7 @@ impl Report {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use densecloud_cloud::{Attribute, Kind, Values};
+    use densecloud_cloud::{Kind, Values};
     use densecloud_formats::{PlyEncoding, Scalar};
 
     fn prepare(cloud: Cloud, options: &[(&str, &str)]) -> Result<Prepared, PrepareError> {

@@ -2,7 +2,6 @@
 
 use std::fmt::Write;
 
-use crate::Request;
 use crate::attributes::Finish;
 use densecloud_backends::ModelName;
 use densecloud_cascade::{CascadeOptions, Target};
@@ -12,12 +11,31 @@ use densecloud_formats::Reading;
 /// What begins a line of provenance among a file's comments.
 pub const MARK: &str = "densecloud: ";
 
-/// The line for a request's result, whose input was read as `reading` says: everything that decides its points and their values, and nothing else, so that the same
-/// request gives the same file. `NAME=VALUE` with spaces between.
+/// All that decides a result's points and their values, beside the program and its model.
+#[derive(Debug, Clone, Copy)]
+pub struct Causes<'a> {
+    /// SHA-256 of the input's file, where it is one.
+    pub input: Option<[u8; 32]>,
+    /// Points in the input, those that are not finite included.
+    pub points: u64,
+    /// How many points are wanted.
+    pub target: Target,
+    /// How the cascade is run.
+    pub settings: &'a CascadeOptions,
+    /// What is done with its points.
+    pub finish: &'a Finish,
+    /// How the input is read.
+    pub reading: &'a Reading,
+    /// The most points of a tile, where the cloud is worked on in tiles.
+    pub tile_points: Option<u64>,
+}
+
+/// The line for a result of these causes, and nothing else, so that the same causes give the same file. `NAME=VALUE` with
+/// spaces between.
 #[must_use]
-pub fn line(model: &ModelName, request: &Request, reading: &Reading) -> String {
+pub fn line(model: &ModelName, causes: &Causes<'_>) -> String {
     // In full, so that nobody adds an option without deciding whether it belongs here.
-    let Request { cloud, target, settings, finish, plan: _ } = request;
+    let Causes { input, points, target, settings, finish, reading, tile_points } = causes;
     let CascadeOptions { seed, overlap, inner, max_displacement, max_distance, polish, spread, quality } =
         settings;
     let Finish {
@@ -41,10 +59,10 @@ pub fn line(model: &ModelName, request: &Request, reading: &Reading) -> String {
         // Writing into a string cannot fail.
         let _ = write!(line, " {name}={value}");
     };
-    if let Some(hash) = cloud.origin.sha256 {
+    if let Some(hash) = input {
         add("input_sha256", &hex::encode(hash));
     }
-    add("input_points", &cloud.positions.len());
+    add("input_points", points);
     match target {
         Target::Ratio(ratio) => add("ratio", ratio),
         Target::Points(points) => add("points", points),
@@ -57,6 +75,9 @@ pub fn line(model: &ModelName, request: &Request, reading: &Reading) -> String {
     add("polish", polish);
     add("spread", spread);
     add("quality", quality);
+    if let Some(points) = tile_points {
+        add("tile_points", points);
+    }
     if *keep_input {
         add("keep_input", &true);
     }
@@ -96,13 +117,10 @@ pub fn of(origin: &Origin) -> impl Iterator<Item = &str> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use densecloud_cloud::Cloud;
     use densecloud_formats::Decimal;
 
     #[test]
     fn a_line_tells_what_decides_the_result_and_is_found_again() {
-        let mut cloud = Cloud::from(vec![[0.0; 3]; 7]);
-        cloud.origin.sha256 = Some([0xAB; 32]);
         let model = ModelName { name: "my model".into(), sha256: "12cd".into() };
         let finish = Finish {
             keep_input: true,
@@ -110,18 +128,26 @@ mod tests {
             ..Finish::default()
         };
         let settings = CascadeOptions { seed: 5, ..Default::default() };
-        let request = Request::new(cloud, Target::Ratio(7.3), settings, finish);
         let reading = Reading {
             axes: Some("Points 0,2,3".parse().expect("axes")),
             decimal: Some(Decimal::Comma),
             ..Reading::default()
         };
-        let made = line(&model, &request, &reading);
+        let causes = Causes {
+            input: Some([0xAB; 32]),
+            points: 7,
+            target: Target::Ratio(7.3),
+            settings: &settings,
+            finish: &finish,
+            reading: &reading,
+            tile_points: Some(400),
+        };
+        let made = line(&model, &causes);
         for part in [
             "model=my_model model_sha256=12cd",
             "input_sha256=abababab",
             "input_points=7 ratio=7.3 seed=5",
-            "keep_input=true attributes=a_b:mean,red:drop axes=Points_0,2,3 decimal=comma",
+            "quality=standard tile_points=400 keep_input=true attributes=a_b:mean,red:drop axes=Points_0,2,3 decimal=comma",
         ] {
             assert!(made.contains(part), "{made}");
         }

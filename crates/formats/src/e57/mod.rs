@@ -93,6 +93,10 @@ impl Choices for E57 {
         false
     }
 
+    fn is_made_in_parts(&self) -> bool {
+        false
+    }
+
     fn encode(
         &self,
         sink: &mut dyn Write,

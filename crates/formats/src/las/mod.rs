@@ -23,7 +23,6 @@ use super::source::Source;
 use super::spool::Spool;
 use super::{Format, FormatError, Limits, Reading};
 use densecloud_cloud::{Attribute, Origin, Position, Role};
-use plan::Plan;
 use seen::Seen;
 
 pub(super) use origin::{LasExtra, LasOrigin, LasRecord};
@@ -99,8 +98,7 @@ impl Choices for Las {
     fn renamed(&self, attributes: &[Attribute], origin: &Origin) -> Vec<(String, String)> {
         let mut seen = Seen::new(*self, attributes, origin);
         seen.see_numbers(attributes, 0..attributes.first().map_or(0, |first| first.values.len()));
-        // Where there is no plan, nothing is written.
-        Plan::new(&seen).map(|plan| plan.renamed).unwrap_or_default()
+        seen.renamed().unwrap_or_default()
     }
 
     fn whole_numbers(&self) -> &'static [Role] {

@@ -100,6 +100,11 @@ impl FirstPass for Seen {
     fn begin(self: Box<Self>) -> Result<Begun, FormatError> {
         write::begin(Plan::new(&self)?, self.las, self.points)
     }
+
+    fn renamed(&self) -> Option<Vec<(String, String)>> {
+        // Where there is no plan, nothing is written.
+        Some(Plan::new(self).map(|plan| plan.renamed).unwrap_or_default())
+    }
 }
 
 /// Makes room for further points, of which each coordinate must be a number.

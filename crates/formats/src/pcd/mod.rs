@@ -21,7 +21,7 @@ pub(crate) struct Pcd {
 }
 
 /// How a PCD file stores numbers.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub enum PcdEncoding {
     /// `DATA ascii`
     Ascii,
@@ -121,6 +121,10 @@ impl Choices for Pcd {
     }
 
     fn is_streamed(&self) -> bool {
+        self.encoding != PcdEncoding::Compressed
+    }
+
+    fn is_made_in_parts(&self) -> bool {
         self.encoding != PcdEncoding::Compressed
     }
 

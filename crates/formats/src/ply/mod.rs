@@ -24,7 +24,7 @@ pub(crate) struct Ply {
 }
 
 /// How a PLY file stores numbers.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub enum PlyEncoding {
     /// `format ascii 1.0`
     Ascii,

@@ -6,7 +6,7 @@ use std::str::FromStr;
 use super::super::reading::UnknownName;
 
 /// What stands between two columns of text.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub enum Separator {
     /// A space; read, any white space.
     Space,
@@ -21,7 +21,7 @@ pub enum Separator {
 }
 
 /// What stands before the fraction of a number in text.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
 pub enum Decimal {
     /// A point: `3.5`.
     #[default]

@@ -3,15 +3,13 @@
 use super::carry::carry_near;
 use super::keep::without_nearest;
 use super::near::Near;
-use super::plan::{Plan, normal_of};
+use super::normals::{Stood, normals};
+use super::plan::Plan;
 use super::rules::{Rule, Rules};
 use super::sure;
 use densecloud_cascade::confidence;
-use densecloud_cloud::{Attribute, Cloud, Frame, Origin, Point, Position, Sensors, Values};
-use densecloud_geometry::{estimate_normals, indices};
-
-/// Neighbours that an estimated normal is made of.
-const NORMAL_NEIGHBOURS: usize = 16;
+use densecloud_cloud::{Attribute, Cloud, Origin, Position, Values};
+use densecloud_geometry::indices;
 
 /// What is done with the cascade's points.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -50,11 +48,11 @@ impl Finish {
 
     /// What a result takes over of what the source's file tells of the whole, and a sentence about what it
     /// does not. Tables that refer to points by their numbers (faces) stay true only where all points are
-    /// kept.
+    /// kept, and first in the result: those of a source that `is_finite`.
     #[must_use]
-    pub fn origin(&self, source: &Cloud) -> (Origin, Option<String>) {
-        let mut origin = source.origin.clone();
-        if self.keep_input && source.positions.as_flattened().iter().all(|c| c.is_finite()) {
+    pub fn origin(&self, source: &Origin, is_finite: bool) -> (Origin, Option<String>) {
+        let mut origin = source.clone();
+        if self.keep_input && is_finite {
             return (origin, None);
         }
         let dropped = origin.drop_references();
@@ -87,7 +85,7 @@ impl Finish {
     }
 }
 
-/// Finishes a result, its attributes as planned for the cloud that `source` is or is a part of. `None` when `cancelled` says so in between, or when no source point is finite.
+/// Finishes a result, its attributes as planned for the cloud that `source` is. `None` when `cancelled` says so in between, or when no source point is finite.
 ///
 /// Cost: that of [`carry()`](super::carry()), and with [`Finish::keep_input`] or
 /// [`Finish::estimate_normals`] a tree of the dense points and a few neighbours of each; a confidence takes that of
@@ -98,16 +96,50 @@ impl Finish {
 #[must_use]
 pub fn finish(
     source: &Cloud,
+    dense: Vec<Position>,
+    how: &Finish,
+    plan: &Plan,
+    cancelled: &(dyn Fn() -> bool + Sync),
+) -> Option<(Vec<Position>, Vec<Attribute>)> {
+    finish_part(source, dense, how, plan, &Part::default(), cancelled)
+}
+
+/// What of a source and of the points made of it is a part of a whole, and what lies around that part; by default,
+/// nothing does.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Part<'a> {
+    /// The rows of the source that are the part's own, ascending; all where there is none.
+    pub own: Option<&'a [u32]>,
+    /// The row in the whole of each row of the source; the same where there is none.
+    pub rows: Option<&'a [u32]>,
+    /// Points made that lie beyond the part, for the normals of others.
+    pub rim: &'a [Position],
+    /// How many points are made of each in the whole; else by those at hand.
+    pub ratio: Option<f64>,
+}
+
+/// As [`finish`], of a part of a cloud, whose attributes are as planned for the whole: `source` has the part's points and
+/// those around it, `dense` the part's alone.
+///
+/// # Panics
+/// As [`finish`].
+#[must_use]
+pub fn finish_part(
+    source: &Cloud,
     mut dense: Vec<Position>,
     how: &Finish,
     plan: &Plan,
+    part: &Part<'_>,
     cancelled: &(dyn Fn() -> bool + Sync),
 ) -> Option<(Vec<Position>, Vec<Attribute>)> {
     let mut kept: Vec<u32> = Vec::new();
     let mut originals: Vec<Position> = Vec::new();
     if how.keep_input {
-        let finite = |p: &Position| p.iter().all(|c| c.is_finite());
-        kept = indices(source.positions.len()).filter(|&i| finite(&source.positions[i as usize])).collect();
+        let finite = |i: &u32| source.positions[*i as usize].iter().all(|c| c.is_finite());
+        kept = match part.own {
+            Some(own) => own.iter().copied().filter(finite).collect(),
+            None => indices(source.positions.len()).filter(finite).collect(),
+        };
         originals = kept.iter().map(|&i| source.positions[i as usize]).collect();
         dense = without_nearest(dense, &originals)?;
     }
@@ -125,13 +157,7 @@ pub fn finish(
         attribute.values = values;
     }
     if let Some(near) = near {
-        attributes.retain(|a| a.name != "source_index" && a.name != "is_generated");
-        let mut index = kept.clone();
-        index.extend_from_slice(near.nearest());
-        attributes.push(Attribute { name: "source_index".into(), values: Values::U32(index) });
-        let mut generated = vec![0; kept.len()];
-        generated.resize(kept.len() + dense.len(), 1);
-        attributes.push(Attribute { name: "is_generated".into(), values: Values::U8(generated) });
+        add_source_fields(&mut attributes, &kept, near.nearest(), part.rows);
     }
     let mut positions = originals;
     positions.append(&mut dense);
@@ -140,86 +166,57 @@ pub fn finish(
             return None;
         }
         let stood = Stood::of(how, &source.origin, &attributes);
-        normals(&positions, kept.len(), &mut attributes, &stood)?;
+        normals(&positions, part.rim, kept.len(), &mut attributes, &stood)?;
     }
     if !how.asks_confidence() {
         return Some((positions, attributes));
     }
-    let confidence = confidence(&source.positions, &positions, cancelled)?;
+    let confidence = confidence_of(source, &positions, part.ratio, cancelled)?;
     Some(sure::finish(positions, attributes, confidence, kept.len(), how))
 }
 
-/// Where the sensor stood that saw a point.
-struct Stood<'a> {
-    /// For all points.
-    once: Option<Position>,
-    /// For those of each scan, with the place of the attribute that numbers the scans.
-    each: Option<(&'a Sensors, usize)>,
-}
-
-impl<'a> Stood<'a> {
-    /// As the options say, else as the source does, for points of these attributes.
-    fn of(how: &Finish, source: &'a Origin, attributes: &[Attribute]) -> Self {
-        let number = |sensors: &Sensors| attributes.iter().position(|a| a.name == sensors.attribute);
-        let each = source.sensors.as_deref().and_then(|sensors| Some((sensors, number(sensors)?)));
-        Self { once: how.sensor.or(source.sensor), each }
-    }
-
-    fn at(&self, attributes: &[Attribute], row: usize) -> Option<Position> {
-        self.once.or_else(|| {
-            let (sensors, number) = self.each?;
-            sensors.of(attributes[number].values.get(row))
-        })
-    }
-}
-
-/// Puts estimated normals in the place of those that are there, or beside the other attributes. The first
-/// `kept` rows stay where there are some.
-fn normals(
-    positions: &[Position],
-    kept: usize,
+/// Adds the row in the whole of the source point that each point is, or that is `nearest`, and whether it is new.
+fn add_source_fields(
     attributes: &mut Vec<Attribute>,
-    stood: &Stood<'_>,
-) -> Option<()> {
-    let frame = Frame::fit(positions).ok()?;
-    let points: Vec<Point> = positions.iter().map(|p| frame.to_local(*p)).collect();
-    let mut normals = estimate_normals(&points, NORMAL_NEIGHBOURS);
-    drop(points);
-    let there = normal_of(attributes);
-    for (i, normal) in normals.iter_mut().enumerate() {
-        let side: [f64; 3] = match (there, stood.at(attributes, i)) {
-            (Some(axes), _) => axes.map(|a| attributes[a].values.get(i)),
-            (None, Some(sensor)) => std::array::from_fn(|a| sensor[a] - positions[i][a]),
-            (None, None) => continue,
-        };
-        if (0..3).map(|a| side[a] * f64::from(normal[a])).sum::<f64>() < 0.0 {
-            *normal = normal.map(|c| -c);
-        }
+    kept: &[u32],
+    nearest: &[u32],
+    rows: Option<&[u32]>,
+) {
+    attributes.retain(|a| a.name != "source_index" && a.name != "is_generated");
+    let mut index = kept.to_vec();
+    index.extend_from_slice(nearest);
+    if let Some(rows) = rows {
+        index.iter_mut().for_each(|i| *i = rows[*i as usize]);
     }
-    if there.is_none() {
-        // Parts of a normal that is not whole.
-        attributes.retain(|a| !["nx", "ny", "nz"].contains(&a.name.as_str()));
+    let mut generated = vec![0; kept.len()];
+    generated.resize(index.len(), 1);
+    attributes.push(Attribute { name: "source_index".into(), values: Values::U32(index) });
+    attributes.push(Attribute { name: "is_generated".into(), values: Values::U8(generated) });
+}
+
+/// The confidence of points, of which `ratio` are made of each of the source.
+fn confidence_of(
+    source: &Cloud,
+    positions: &[Position],
+    ratio: Option<f64>,
+    cancelled: &(dyn Fn() -> bool + Sync),
+) -> Option<Vec<f32>> {
+    let count = ratio.map_or(0, |ratio| (ratio * source.positions.len() as f64).round() as usize);
+    if count <= positions.len() {
+        return confidence(&source.positions, positions, cancelled);
     }
-    for (a, name) in ["nx", "ny", "nz"].into_iter().enumerate() {
-        let axis = normals.iter().map(|n| f64::from(n[a]));
-        match there {
-            Some(axes) => {
-                let values = &mut attributes[axes[a]].values;
-                let own: Vec<f64> = (0..kept).map(|i| values.get(i)).collect();
-                *values = Values::from_f64(values.kind(), own.into_iter().chain(axis.skip(kept)));
-            }
-            None => {
-                let values = Values::F32(axis.map(|c| c as f32).collect());
-                attributes.push(Attribute { name: name.into(), values });
-            }
-        }
-    }
-    Some(())
+    // It takes the ratio from how many points there are, and each value is of one point alone.
+    let mut all = positions.to_vec();
+    all.resize(count, *positions.first()?);
+    let mut sure = confidence(&source.positions, &all, cancelled)?;
+    sure.truncate(positions.len());
+    Some(sure)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use densecloud_cloud::Sensors;
     use densecloud_geometry::Rng;
 
     /// Points on the unit sphere about a far centre, with an id and, if wanted, normals that point inwards.
@@ -279,6 +276,44 @@ mod tests {
         for p in &positions[rows.len()..] {
             assert!(dense.positions.contains(p));
         }
+    }
+
+    #[test]
+    fn parts_are_finished_as_the_whole_is() {
+        let source = sphere(400, 1, true);
+        let dense = sphere(1600, 2, false).positions;
+        let how =
+            Finish { source_fields: true, confidence: true, estimate_normals: true, ..Finish::default() };
+        let (positions, attributes) = run(&source, &Cloud::from(dense.clone()), &how);
+        let plan = Plan::of(&source.attributes, &how.rules);
+        let is_own = |p: &Position| p[0] < 4e5 + 0.3;
+        let reaches = |p: &&Position| p[0] < 4e5 + 0.9;
+        // The source's rows are another way round in the part.
+        let rows: Vec<u32> = (0..400).rev().filter(|i| reaches(&&source.positions[*i as usize])).collect();
+        let part = Cloud {
+            positions: rows.iter().map(|i| source.positions[*i as usize]).collect(),
+            attributes: (source.attributes.iter())
+                .map(|a| Attribute { name: a.name.clone(), values: a.values.gather(&rows) })
+                .collect(),
+            ..Cloud::default()
+        };
+        let own: Vec<u32> = indices(rows.len()).filter(|i| is_own(&part.positions[*i as usize])).collect();
+        let (made, rim): (Vec<Position>, Vec<Position>) = dense.iter().partition(|p| is_own(p));
+        let share = Part { own: Some(&own), rows: Some(&rows), rim: &rim, ratio: Some(4.0) };
+        let (made, its) = finish_part(&part, made, &how, &plan, &share, &|| false).expect("a part");
+        let of_whole: Vec<u32> = indices(1600).filter(|i| is_own(&positions[*i as usize])).collect();
+        for (whole, its) in attributes.iter().zip(&its) {
+            assert_eq!(whole.name, its.name);
+            for (i, row) in of_whole.iter().enumerate() {
+                let (a, b) = (whole.values.get(*row as usize), its.values.get(i));
+                assert!((a - b).abs() < 1e-3, "{} of {:?}: {a}, {b}", its.name, made[i]);
+            }
+        }
+        // The part's own points are kept, and none of those around it.
+        let how = Finish { keep_input: true, ..Finish::default() };
+        let (kept, _) = finish_part(&part, made.clone(), &how, &plan, &share, &|| false).expect("a part");
+        assert_eq!(kept.len(), made.len());
+        assert!(own.iter().zip(&kept).all(|(i, p)| part.positions[*i as usize] == *p));
     }
 
     #[test]

@@ -6,12 +6,13 @@ mod finish;
 mod keep;
 mod mean;
 mod near;
+mod normals;
 mod plan;
 mod rules;
 mod sure;
 mod vectors;
 
 pub use carry::carry;
-pub use finish::{Finish, finish};
+pub use finish::{Finish, Part, finish, finish_part};
 pub use plan::Plan;
 pub use rules::{Rule, Rules, RulesError};

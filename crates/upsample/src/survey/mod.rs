@@ -6,28 +6,23 @@
 
 mod cell;
 mod local;
+mod parts;
 mod strays;
 mod target;
 
-use rayon::prelude::*;
-
+pub use parts::Parts;
 pub use strays::strays;
 pub use target::{Goal, GoalError};
 
-use densecloud_cloud::{Frame, FrameError, Point, Position};
+use densecloud_cloud::{Frame, FrameError, Position};
 use densecloud_formats::Scalar;
-use densecloud_geometry::{KdTree, Rng, indices};
-use local::Local;
+use densecloud_geometry::{Rng, indices};
 
 /// Points measured where nobody asks for another number: all medians are then exact to about 1 %.
 pub const SAMPLE: usize = 20_000;
 
 /// Points measured where warnings are all that is wanted: enough to see what is unusual.
 pub const GLANCE: usize = 2000;
-
-/// The surface over the sum of cells: what curves between the points is larger than what they show. The
-/// median over held-out shapes (docs/inspect.md).
-const UNSEEN: f64 = 1.02;
 
 /// What a cloud is like. Lengths are in the cloud's own units.
 #[derive(Debug, Clone, PartialEq)]
@@ -96,46 +91,9 @@ impl Survey {
                 bounds[1][a] = bounds[1][a].max(p[a]);
             }
         }
-        let counts = (finite.len(), positions.len() - finite.len());
-        let local: Vec<Point> = finite.iter().map(|p| frame.to_local(*p).map(|c| c + 0.0)).collect();
-        drop(finite);
-        let points = densecloud_cascade::distinct(&local);
-        let duplicates = local.len() - points.len();
-        drop(local);
-        let tree = KdTree::new(&points);
-        let mut measured: Vec<Local> = chosen(points.len(), sample)
-            .par_iter()
-            .filter_map(|&i| Local::measure(&points, &tree, i as usize))
-            .collect();
-        // In the cloud's units from here on.
-        let unit = frame.scale();
-        for m in &mut measured {
-            m.scale(unit);
-        }
-        let share = |what: fn(&Local) -> bool| {
-            measured.iter().filter(|m| what(m)).count() as f64 / measured.len().max(1) as f64
-        };
-        let each = |what: fn(&Local) -> f64| measured.iter().map(what).collect::<Vec<f64>>();
-        let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len().max(1) as f64;
-        let relative = each(|m| m.nearest * m.density.sqrt());
-        let usual = mean(&relative);
-        let variance = mean(&relative.iter().map(|r| (r - usual).powi(2)).collect::<Vec<f64>>());
-        Ok(Self {
-            finite: counts.0,
-            non_finite: counts.1,
-            duplicates,
-            measured: measured.len(),
-            bounds,
-            spacing: Spread::of(each(|m| m.nearest)),
-            mean_spacing: mean(&each(|m| m.nearest)),
-            density: Spread::of(each(|m| m.density)),
-            area: UNSEEN * mean(&each(|m| m.cell)) * points.len() as f64,
-            unevenness: if usual > 0.0 { variance.sqrt() / usual } else { 0.0 },
-            noise: Spread::of(each(|m| m.noise)).median,
-            off_surface: share(|m| m.off_surface),
-            on_lines: share(|m| m.on_line),
-            isolated: share(|m| m.isolated),
-        })
+        let mut parts = Parts::default();
+        parts.add(&finite, finite.len(), &frame, sample);
+        Ok(parts.survey(finite.len(), positions.len() - finite.len(), bounds))
     }
 
     /// How far apart the points of a result of so many points will be, about.

@@ -83,6 +83,17 @@ impl Goal {
     /// # Errors
     /// [`GoalError`].
     pub fn target(self, positions: &[Position]) -> Result<Target, GoalError> {
+        self.target_by(|| Survey::of(positions, SAMPLE))
+    }
+
+    /// As [`target`](Self::target), by a survey that is made where the goal needs one.
+    ///
+    /// # Errors
+    /// The same.
+    pub fn target_by(
+        self,
+        survey: impl FnOnce() -> Result<Survey, FrameError>,
+    ) -> Result<Target, GoalError> {
         let (what, value) = match self {
             Self::Target(target) => return Ok(target),
             Self::Spacing(spacing) => ("spacing", spacing),
@@ -91,7 +102,7 @@ impl Goal {
         if !(value.is_finite() && value > 0.0) {
             return Err(GoalError::NotPositive { what, value });
         }
-        let survey = Survey::of(positions, SAMPLE)?;
+        let survey = survey()?;
         let points = match self {
             Self::Density(density) => density * survey.area,
             _ => survey.area * (EVENNESS / value).powi(2),

@@ -138,3 +138,24 @@ fn a_goal_becomes_a_number_of_points() {
     let longest = error.split([' ', ',']).map(str::len).max();
     assert!(longest.is_some_and(|longest| longest <= 9) && error.contains("e19 points"), "{error}");
 }
+
+#[test]
+fn parts_with_what_lies_around_them_give_the_survey_of_the_whole() {
+    let points = sphere(8_000, false, 3.0);
+    let whole = Survey::of(&points, SAMPLE).expect("a survey");
+    for some in [1, 2] {
+        let mut parts = Parts::default();
+        for octant in (0..8).filter(|octant| octant % some == 0) {
+            let is_own = |p: &Position| (0..3).all(|a| (p[a] < 5e5) == (octant >> a & 1 == 1));
+            let (mut part, around): (Vec<Position>, Vec<Position>) = points.iter().partition(|p| is_own(p));
+            let own = part.len();
+            part.extend(around);
+            parts.add(&part, own, &Frame::fit(&part).expect("a frame"), SAMPLE);
+        }
+        let survey = parts.survey(8_000, 7, whole.bounds);
+        let near = |a: f64, b: f64, within: f64| (a / b - 1.0).abs() < within;
+        assert!(near(survey.area, whole.area, if some == 1 { 1e-3 } else { 0.05 }), "{survey:?}");
+        assert!(near(survey.spacing.median, whole.spacing.median, 0.1) && survey.non_finite == 7);
+        assert_eq!(survey.warnings(Scalar::F64), [""; 0]);
+    }
+}
