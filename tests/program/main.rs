@@ -13,3 +13,4 @@ mod results;
 mod settings;
 mod signals;
 mod support;
+mod tiles;

@@ -131,7 +131,9 @@ mod tests {
     fn whole_numbers_repeat_or_do_not() {
         let repeats = |numbers: &[f64]| of(numbers).repeats;
         assert!(repeats(&[3.0; 4]) && repeats(&[0.0, -0.0, f64::NAN]) && repeats(&[1.0, 1.0, 2.0, 2.0]));
-        assert!(!repeats(&[1.0, 2.0, 2.0]) && !repeats(&[0.5, 0.5]) && !repeats(&[f64::NAN; 3]) && !repeats(&[]));
+        assert!(
+            !repeats(&[1.0, 2.0, 2.0]) && !repeats(&[0.5, 0.5]) && !repeats(&[f64::NAN; 3]) && !repeats(&[])
+        );
         assert!(!repeats(&[1.0, 1.0, f64::INFINITY]));
         let many = |count: usize| {
             let numbers: Vec<f64> = (0..2 * count).map(|i| (i / 2) as f64).collect();

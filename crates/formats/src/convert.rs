@@ -83,12 +83,7 @@ impl Adaptation {
     }
 
     /// Gives the parts of a colour, at these places, one type of integers, if their numbers allow that.
-    fn add_colour(
-        &mut self,
-        places: &[usize],
-        kind: &dyn Fn(usize) -> Kind,
-        facts: &dyn Fn(usize) -> Facts,
-    ) {
+    fn add_colour(&mut self, places: &[usize], kind: &dyn Fn(usize) -> Kind, facts: &dyn Fn(usize) -> Facts) {
         let kinds: Vec<Kind> = places.iter().map(|place| kind(*place)).collect();
         // All of none, too.
         if kinds.iter().all(|kind| *kind == kinds[0] && !is_wide(*kind)) {
@@ -96,7 +91,8 @@ impl Adaptation {
         }
         let parts: Vec<Facts> = places.iter().map(|place| facts(*place)).collect();
         let is_share = kinds.iter().all(|kind| kind.is_float()) && is_share(&parts);
-        let chosen = if is_share { Some((Kind::U8, 255.0)) } else { smallest(&parts).map(|kind| (kind, 1.0)) };
+        let chosen =
+            if is_share { Some((Kind::U8, 255.0)) } else { smallest(&parts).map(|kind| (kind, 1.0)) };
         let Some((kind, factor)) = chosen else { return };
         self.columns.extend(places.iter().map(|place| (*place, kind, factor)));
         self.told = is_share.then(|| "colours from 0 to 1 became such from 0 to 255".to_owned());

@@ -36,6 +36,8 @@
 //! stopped within one patch by an [`Observer`](cascade::Observer), which also hears how far it is. Coordinates may be in any
 //! unit and as far from the origin as 64-bit floats go.
 //!
+//! A cloud that memory does not hold is worked on in tiles by `densecloud-tiles`, through the same options.
+//!
 //! Many callers at once are better served by `densecloud-engine`, which queues, shares threads and memory fairly and knows
 //! deadlines; over the network by `densecloud-server`.
 

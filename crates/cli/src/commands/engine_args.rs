@@ -7,6 +7,7 @@ use clap::Args;
 
 use super::CliError;
 use densecloud_backends::{Model, OnnxBackend};
+use densecloud_cascade::{LevelRunner, Patchwise};
 use densecloud_engine::{Engine, EngineConfig};
 
 /// Which model, on how many threads.
@@ -41,6 +42,16 @@ impl EngineArgs {
     pub(super) fn engine(&self, model: Arc<Model>) -> Result<Engine, CliError> {
         let config = EngineConfig { threads: self.threads, concurrency: 1, ..EngineConfig::default() };
         start(model, || config)
+    }
+}
+
+impl EngineArgs {
+    /// What runs a model without an engine, on the global pool, which gets its threads.
+    pub(super) fn runner(&self, model: Arc<Model>) -> Result<Arc<dyn LevelRunner>, CliError> {
+        let backend = OnnxBackend::new(model).map_err(|e| CliError::Failed(e.to_string()))?;
+        // Where there is a pool by now, it stays.
+        let _ = rayon::ThreadPoolBuilder::new().num_threads(self.threads).build_global();
+        Ok(Arc::new(Patchwise::new(Arc::new(backend))))
     }
 }
 

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use super::CliError;
 use densecloud_cloud::{Attribute, Cloud, Origin, Position};
-use densecloud_formats::{CloudReader, Format, Header, Limits, Reading, encode, read_cloud_file_as};
+use densecloud_formats::{CloudReader, Format, Header, Limits, Reading, encode};
 use densecloud_geometry::check_count;
 
 pub(super) fn is_stream(path: &Path) -> bool {
@@ -20,18 +20,21 @@ pub(super) fn beside(path: &Path, suffix: &str) -> PathBuf {
     name.into()
 }
 
+/// Opens a cloud, `-` from standard input, and reads its header.
+pub(super) fn open(path: &Path, reading: &Reading) -> Result<CloudReader<'static>, CliError> {
+    let opened = if is_stream(path) {
+        CloudReader::open_as(BufReader::new(io::stdin().lock()), Limits::default(), reading)
+    } else {
+        CloudReader::open_path(path, reading)
+    };
+    opened.map_err(|why| CliError::file(path, why))
+}
+
 /// Reads a cloud, `-` from standard input; refuses one of more points than indices can tell apart.
 pub(super) fn read_cloud(path: &Path, reading: &Reading) -> Result<(Cloud, Header), CliError> {
-    let read = if is_stream(path) {
-        let stream = BufReader::new(io::stdin().lock());
-        CloudReader::open_as(stream, Limits::default(), reading).and_then(|reader| {
-            let header = reader.header().clone();
-            Ok((reader.read()?, header))
-        })
-    } else {
-        read_cloud_file_as(path, reading)
-    };
-    let (cloud, header) = read.map_err(|why| CliError::file(path, why))?;
+    let reader = open(path, reading)?;
+    let header = reader.header().clone();
+    let cloud = reader.read().map_err(|why| CliError::file(path, why))?;
     check_count(cloud.positions.len()).map_err(|why| CliError::file(path, why))?;
     Ok((cloud, header))
 }

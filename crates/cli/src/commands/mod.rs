@@ -21,6 +21,10 @@ mod serve;
 mod serve_args;
 mod settings;
 mod signals;
+mod tile_args;
+mod tile_progress;
+mod tiled;
+mod tiles;
 mod upsample;
 mod upsample_remote;
 
@@ -49,7 +53,8 @@ struct Arguments {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    Upsample(upsample::UpsampleArgs),
+    Upsample(Box<upsample::UpsampleArgs>),
+    Tiles(tiles::TilesArgs),
     Inspect(inspect::InspectArgs),
     Serve(Box<serve_args::ServeArgs>),
     Job(job::JobArgs),
@@ -105,12 +110,20 @@ fn note(text: &str) {
     let _ = writeln!(io::stderr(), "densecloud: {text}");
 }
 
+/// Says what a person should know, unless nothing is to be said.
+fn warn(warnings: &[String], quiet: bool) {
+    for warning in warnings.iter().filter(|_| !quiet) {
+        note(&format!("warning: {warning}"));
+    }
+}
+
 fn run(command: Command, matches: &ArgMatches) -> Result<(), CliError> {
     match command {
         Command::Inspect(args) => inspect::run(&args),
         Command::Render(args) => render::run(&args),
         Command::Sample(args) => sample::run(&args),
         Command::Upsample(args) => upsample::run(&args),
+        Command::Tiles(args) => tiles::run(&args),
         Command::Evaluate(args) => evaluate::run(&args),
         // To serve, it never comes back here.
         Command::Serve(args) => {

@@ -1,17 +1,19 @@
 //! `densecloud upsample`: a file in, a denser file out.
 
 use std::io::{self, IsTerminal};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use clap::{ArgGroup, Args};
-use densecloud::{Options, PrepareError, Prepared};
+use densecloud::{Options, PrepareError, Prepared, Report};
 use densecloud_engine::{EngineError, Outcome, Pending, ProgressHandle};
+use densecloud_tiles::Input;
 use indicatif::{ProgressBar, ProgressStyle};
 
 use super::engine_args::EngineArgs;
 use super::options::{GOALS, OptionArgs};
-use super::{CliError, files, upsample_remote};
+use super::tile_args::TileArgs;
+use super::{CliError, files, tiled, upsample_remote};
 
 /// Make a cloud denser.
 #[derive(Debug, Args)]
@@ -47,6 +49,14 @@ pub(super) struct UpsampleArgs {
     pub(super) key: Option<String>,
 
     #[command(flatten)]
+    pub(super) tiles: TileArgs,
+
+    /// Go on where a work on the same input, with the same options, was stopped or killed; what is done stays in the
+    /// temporary folder for that
+    #[arg(long, conflicts_with = "server")]
+    pub(super) resume: bool,
+
+    #[command(flatten)]
     pub(super) engine: EngineArgs,
 }
 
@@ -62,14 +72,15 @@ pub(super) fn run(args: &UpsampleArgs) -> Result<(), CliError> {
     }
     let start = Instant::now();
     let model = args.engine.model()?;
-    let (cloud, header) = files::read_cloud(&args.input, &options.reading)?;
-    let prepared = Prepared::new(cloud, header.format, options, &model.name());
-    let Prepared { request, mut report } = prepared.map_err(|error| refused(args, &error))?;
-    let warn = |warnings: &[String]| {
-        for warning in warnings.iter().filter(|_| !args.quiet) {
-            super::note(&format!("warning: {warning}"));
-        }
+    let reader = files::open(&args.input, &options.reading)?;
+    let read = Input::read(reader, args.tiles.tile_points).map_err(|why| CliError::file(&args.input, why))?;
+    let (cloud, header) = match read {
+        Input::Small(cloud, header) => (*cloud, header),
+        Input::Large(large) => return tiled::run(args, &options, large, model, start),
     };
+    let prepared = Prepared::new(cloud, header.format, options, &model.name());
+    let Prepared { request, mut report } = prepared.map_err(|error| refused(&args.input, &error))?;
+    let warn = |warnings: &[String]| super::warn(warnings, args.quiet);
     warn(&report.warnings);
     let told = report.warnings.len();
     let fail = |e: EngineError| CliError::file(&args.input, e);
@@ -85,10 +96,7 @@ pub(super) fn run(args: &UpsampleArgs) -> Result<(), CliError> {
         &outcome.made.attributes,
         &report.origin,
     )?;
-    if !report.format.holds_comments() && files::is_kept(&args.output) {
-        let beside = files::beside(&args.output, PROVENANCE);
-        files::write(&beside, |sink| Ok(writeln!(sink, "{}", report.provenance)?))?;
-    }
+    write_provenance(&report, &args.output)?;
     if !args.quiet {
         let (seconds, shares) = (start.elapsed().as_secs_f64(), shares(&outcome));
         let (from, to) = (report.points_in, report.points_out);
@@ -97,12 +105,20 @@ pub(super) fn run(args: &UpsampleArgs) -> Result<(), CliError> {
     Ok(())
 }
 
+/// Writes where a result comes from beside it, where its format has no place for that.
+pub(super) fn write_provenance(report: &Report, output: &Path) -> Result<(), CliError> {
+    if report.format.holds_comments() || !files::is_kept(output) {
+        return Ok(());
+    }
+    files::write(&files::beside(output, PROVENANCE), |sink| Ok(writeln!(sink, "{}", report.provenance)?))
+}
+
 /// What the options and the cloud together have wrong.
-fn refused(args: &UpsampleArgs, error: &PrepareError) -> CliError {
+pub(super) fn refused(input: &Path, error: &PrepareError) -> CliError {
     match error {
         PrepareError::UnknownAttribute { .. } => CliError::Usage(format!("--attributes: {error}")),
         // As with --points, it depends on the cloud whether that is wrong.
-        error => CliError::file(&args.input, error),
+        error => CliError::file(input, error),
     }
 }
 

@@ -176,12 +176,7 @@ pub fn finish_part(
 }
 
 /// Adds the row in the whole of the source point that each point is, or that is `nearest`, and whether it is new.
-fn add_source_fields(
-    attributes: &mut Vec<Attribute>,
-    kept: &[u32],
-    nearest: &[u32],
-    rows: Option<&[u32]>,
-) {
+fn add_source_fields(attributes: &mut Vec<Attribute>, kept: &[u32], nearest: &[u32], rows: Option<&[u32]>) {
     attributes.retain(|a| a.name != "source_index" && a.name != "is_generated");
     let mut index = kept.to_vec();
     index.extend_from_slice(nearest);

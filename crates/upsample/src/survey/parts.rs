@@ -25,7 +25,10 @@ pub struct Parts {
 
 impl std::fmt::Debug for Parts {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Parts").field("finite", &self.finite).field("area", &self.area).finish_non_exhaustive()
+        f.debug_struct("Parts")
+            .field("finite", &self.finite)
+            .field("area", &self.area)
+            .finish_non_exhaustive()
     }
 }
 

@@ -90,10 +90,7 @@ impl Goal {
     ///
     /// # Errors
     /// The same.
-    pub fn target_by(
-        self,
-        survey: impl FnOnce() -> Result<Survey, FrameError>,
-    ) -> Result<Target, GoalError> {
+    pub fn target_by(self, survey: impl FnOnce() -> Result<Survey, FrameError>) -> Result<Target, GoalError> {
         let (what, value) = match self {
             Self::Target(target) => return Ok(target),
             Self::Spacing(spacing) => ("spacing", spacing),

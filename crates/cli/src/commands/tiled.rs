@@ -1,0 +1,91 @@
+//! `densecloud upsample` of a cloud that is too large for one tile.
+
+use std::path::Path;
+use std::sync::Arc;
+use std::time::Instant;
+
+use densecloud::{Options, Report};
+use densecloud_backends::Model;
+use densecloud_tiles::{Folder, Join, Large, TilesError, Tiling, Work, plan};
+
+use super::tile_progress::TileProgress;
+use super::upsample::{UpsampleArgs, refused, write_provenance};
+use super::{CliError, files};
+
+pub(super) fn run(
+    args: &UpsampleArgs,
+    options: &Options,
+    input: Large<'static>,
+    model: Arc<Model>,
+    start: Instant,
+) -> Result<(), CliError> {
+    let (parent, name) = (args.tiles.parent(), model.name());
+    let fail = |why| failed(&args.input, why);
+    let folder = if args.resume {
+        Folder::kept(&parent, &absolute(&args.output)).map_err(fail)?
+    } else {
+        Folder::temporary(&parent).map_err(fail)?
+    };
+    let (runner, progress) = (args.engine.runner(model)?, TileProgress::new(args.quiet));
+    let work = Work {
+        options,
+        model: &name,
+        runner: &*runner,
+        tile_points: args.tiles.tile_points,
+        watch: &progress,
+    };
+    let tiling = match folder.has_plan() {
+        true => Tiling::resumed(input, &work, &folder),
+        false => plan(input, &work, &folder),
+    };
+    let tiling = tiling.map_err(fail)?;
+    super::warn(&tiling.report().warnings, args.quiet);
+    tiling.run_all(&work).map_err(fail)?;
+    progress.finish();
+    let join = tiling.join().map_err(fail)?;
+    super::warn(&join.report().warnings[tiling.report().warnings.len()..], args.quiet);
+    let report = write(join, &args.output)?;
+    let tiles = tiling.len();
+    drop(tiling);
+    // What is gone on with stays until it is done.
+    if args.resume {
+        folder.remove().map_err(fail)?;
+    }
+    if !args.quiet {
+        let (from, to, seconds) = (report.points_in, report.points_out, start.elapsed().as_secs_f64());
+        super::note(&format!("{from} -> {to} points in {seconds:.1} s ({tiles} tiles)"));
+    }
+    Ok(())
+}
+
+/// Writes what is joined, and where it comes from beside it if need be.
+pub(super) fn write(join: Join<'_>, output: &Path) -> Result<Report, CliError> {
+    let report = join.report().clone();
+    files::write(output, |sink| Ok(join.write(sink)?))?;
+    write_provenance(&report, output)?;
+    Ok(report)
+}
+
+/// What went wrong with tiles of this input.
+pub(super) fn failed(input: &Path, why: TilesError) -> CliError {
+    match why {
+        TilesError::Prepare(why) => refused(input, &why),
+        // They name their own files.
+        TilesError::File { .. }
+        | TilesError::Broken { .. }
+        | TilesError::NoSpace { .. }
+        | TilesError::Differs { .. }
+        | TilesError::Busy(_)
+        | TilesError::NotEmpty(_) => CliError::Failed(why.to_string()),
+        TilesError::NotInParts { .. } | TilesError::NoTile { .. } => CliError::Usage(why.to_string()),
+        why => CliError::file(input, why),
+    }
+}
+
+/// An output's name, whatever folder a program is started in.
+fn absolute(output: &Path) -> String {
+    if files::is_stream(output) {
+        return "-".to_owned();
+    }
+    std::path::absolute(output).unwrap_or_else(|_| output.to_owned()).display().to_string()
+}

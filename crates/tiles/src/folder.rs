@@ -1,0 +1,288 @@
+//! The folder that a work lies in: names of its files, who may use it, and what becomes of it.
+
+use std::fs::{self, File, TryLockError};
+use std::path::{Path, PathBuf};
+
+use crate::TilesError;
+
+/// What the names of folders that are removed at the end begin with.
+const TEMPORARY: &str = "densecloud-tiles-";
+
+/// What those begin with that are gone on with.
+const KEPT: &str = "densecloud-resume-";
+
+/// The file that a program holds locked for as long as it works in a folder.
+const LOCK: &str = "lock";
+
+/// A folder for the tiles of a cloud.
+#[derive(Debug)]
+pub struct Folder {
+    path: PathBuf,
+    /// Held for as long as this lives; none where several programs may work at once.
+    _lock: Option<File>,
+    is_temporary: bool,
+}
+
+impl Folder {
+    /// A new one inside of `parent`, which is removed when this goes out of scope. Those that programs left behind that were
+    /// killed are removed now.
+    ///
+    /// # Errors
+    /// [`TilesError::File`].
+    pub fn temporary(parent: &Path) -> Result<Self, TilesError> {
+        fs::create_dir_all(parent).map_err(TilesError::file(parent))?;
+        remove_leftovers(parent)?;
+        let own = std::process::id();
+        let mut number = 0_u32;
+        loop {
+            let name = format!("{TEMPORARY}{own}-{number}");
+            // Under another name until it is locked, so that one of its name always is.
+            let (path, before) = (parent.join(&name), parent.join(format!(".{name}")));
+            number += 1;
+            if path.exists() {
+                continue;
+            }
+            match fs::create_dir(&before) {
+                Ok(()) => {}
+                Err(why) if why.kind() == std::io::ErrorKind::AlreadyExists => continue,
+                Err(why) => return Err(TilesError::File { path: before, why }),
+            }
+            let lock = match locked(&before) {
+                // Another program takes it for a leftover.
+                Err(TilesError::Busy(_)) => continue,
+                lock => lock?,
+            };
+            fs::rename(&before, &path).map_err(TilesError::file(&path))?;
+            return Ok(Self { path, _lock: Some(lock), is_temporary: true });
+        }
+    }
+
+    /// The one inside of `parent` for a work of that name, which stays until it is [removed](Self::remove).
+    ///
+    /// # Errors
+    /// [`TilesError::Busy`], [`TilesError::File`].
+    pub fn kept(parent: &Path, name: &str) -> Result<Self, TilesError> {
+        let path = parent.join(format!("{KEPT}{:08x}", crc32fast::hash(name.as_bytes())));
+        fs::create_dir_all(&path).map_err(TilesError::file(&path))?;
+        let lock = locked(&path)?;
+        Ok(Self { path, _lock: Some(lock), is_temporary: false })
+    }
+
+    /// A new one at that very place, to plan tiles in; whatever works on them may do so at once.
+    ///
+    /// # Errors
+    /// [`TilesError::NotEmpty`], [`TilesError::File`].
+    pub fn new(path: &Path) -> Result<Self, TilesError> {
+        fs::create_dir_all(path).map_err(TilesError::file(path))?;
+        let mut entries = fs::read_dir(path).map_err(TilesError::file(path))?;
+        if entries.next().is_some() {
+            return Err(TilesError::NotEmpty(path.to_owned()));
+        }
+        Ok(Self::at(path))
+    }
+
+    /// That in which tiles are planned already.
+    #[must_use]
+    pub fn at(path: &Path) -> Self {
+        Self { path: path.to_owned(), _lock: None, is_temporary: false }
+    }
+
+    /// Where it is.
+    #[must_use]
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Whether tiles are planned in it.
+    #[must_use]
+    pub fn has_plan(&self) -> bool {
+        self.manifest().exists()
+    }
+
+    /// Removes it.
+    ///
+    /// # Errors
+    /// [`TilesError::File`].
+    pub fn remove(mut self) -> Result<(), TilesError> {
+        self.is_temporary = false;
+        fs::remove_dir_all(&self.path).map_err(TilesError::file(&self.path))
+    }
+
+    /// Removes all that lies in it, but for the lock.
+    pub(crate) fn clear(&self) -> Result<(), TilesError> {
+        for entry in fs::read_dir(&self.path).map_err(TilesError::file(&self.path))? {
+            let path = entry.map_err(TilesError::file(&self.path))?.path();
+            let removed = match path.is_dir() {
+                true => fs::remove_dir_all(&path),
+                false if path.file_name() == Some(LOCK.as_ref()) => Ok(()),
+                false => fs::remove_file(&path),
+            };
+            removed.map_err(TilesError::file(&path))?;
+        }
+        Ok(())
+    }
+
+    pub(crate) fn manifest(&self) -> PathBuf {
+        self.path.join("manifest.json")
+    }
+
+    pub(crate) fn origin(&self) -> PathBuf {
+        self.path.join("origin.json")
+    }
+
+    /// A small file of the input's format, for what only that knows.
+    pub(crate) fn example(&self) -> PathBuf {
+        self.path.join("example")
+    }
+
+    pub(crate) fn whole(&self) -> PathBuf {
+        self.path.join("whole")
+    }
+
+    /// The input's points, file after file.
+    pub(crate) fn spill(&self, number: u32) -> PathBuf {
+        self.path.join("spill").join(number.to_string())
+    }
+
+    /// A tile's own points.
+    pub(crate) fn own(&self, tile: u32) -> PathBuf {
+        self.path.join("own").join(tile.to_string())
+    }
+
+    /// The points around them.
+    pub(crate) fn around(&self, tile: u32) -> PathBuf {
+        self.path.join("around").join(tile.to_string())
+    }
+
+    /// What was made of a tile.
+    pub(crate) fn part(&self, tile: u32) -> PathBuf {
+        self.path.join("parts").join(format!("{tile}.part"))
+    }
+
+    /// That it is done.
+    pub(crate) fn done(&self, tile: u32) -> PathBuf {
+        self.path.join("parts").join(format!("{tile}.json"))
+    }
+
+    /// Makes the folders inside.
+    pub(crate) fn prepare(&self) -> Result<(), TilesError> {
+        for name in ["spill", "own", "around", "parts"] {
+            let path = self.path.join(name);
+            fs::create_dir_all(&path).map_err(TilesError::file(&path))?;
+        }
+        Ok(())
+    }
+}
+
+impl Drop for Folder {
+    fn drop(&mut self) {
+        if self.is_temporary {
+            // The next one removes what is left.
+            let _ = fs::remove_dir_all(&self.path);
+        }
+    }
+}
+
+fn locked(folder: &Path) -> Result<File, TilesError> {
+    let path = folder.join(LOCK);
+    let file = File::options().create(true).append(true).open(&path).map_err(TilesError::file(&path))?;
+    match file.try_lock() {
+        Ok(()) => Ok(file),
+        Err(TryLockError::WouldBlock) => Err(TilesError::Busy(folder.to_owned())),
+        Err(TryLockError::Error(why)) => Err(TilesError::File { path, why }),
+    }
+}
+
+/// Removes the temporary folders that nobody works in.
+fn remove_leftovers(parent: &Path) -> Result<(), TilesError> {
+    for entry in fs::read_dir(parent).map_err(TilesError::file(parent))? {
+        let Ok(entry) = entry else { continue };
+        let is_ours = |name: &str| name.trim_start_matches('.').starts_with(TEMPORARY);
+        let is_ours = entry.file_name().to_str().is_some_and(is_ours);
+        if is_ours
+            && entry.path().join(LOCK).exists()
+            && let Ok(lock) = locked(&entry.path())
+        {
+            // Another's folder that cannot be removed is not in the way.
+            let _ = fs::remove_dir_all(entry.path());
+            drop(lock);
+        }
+    }
+    Ok(())
+}
+
+/// Writes a file so that it is there whole or not at all, even where the machine is switched off.
+pub(crate) fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), TilesError> {
+    let before = path.with_extension("new");
+    let write = || {
+        let mut file = File::create(&before)?;
+        std::io::Write::write_all(&mut file, bytes)?;
+        file.sync_all()?;
+        fs::rename(&before, path)
+    };
+    write().map_err(TilesError::file(path))
+}
+
+/// Bytes that are free on the disk of a folder; none where the system does not tell.
+pub(crate) fn free_space(folder: &Path) -> Option<u64> {
+    #[cfg(unix)]
+    {
+        let told = rustix::fs::statvfs(folder).ok()?;
+        Some(told.f_bavail.saturating_mul(told.f_frsize))
+    }
+    #[cfg(not(unix))]
+    {
+        let _ = folder;
+        None
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn names(parent: &Path) -> Vec<String> {
+        let mut names: Vec<String> = fs::read_dir(parent)
+            .expect("a folder")
+            .map(|entry| entry.expect("an entry").file_name().into_string().expect("UTF-8"))
+            .collect();
+        names.sort();
+        names
+    }
+
+    #[test]
+    fn temporary_folders_go_and_so_do_those_of_killed_programs() {
+        let parent = tempfile::tempdir().expect("a folder");
+        let first = Folder::temporary(parent.path()).expect("a folder");
+        fs::write(first.manifest(), "x").expect("a file");
+        // As one that was killed leaves it.
+        let left = parent.path().join(format!("{TEMPORARY}0-0"));
+        fs::create_dir(&left).expect("a folder");
+        fs::write(left.join(LOCK), "").expect("a file");
+        fs::create_dir(parent.path().join("densecloud-tiles")).expect("another's folder");
+        let second = Folder::temporary(parent.path()).expect("a folder");
+        assert!(first.manifest().exists() && !left.exists() && first.path() != second.path());
+        drop((first, second));
+        assert_eq!(names(parent.path()), ["densecloud-tiles"]);
+    }
+
+    #[test]
+    fn a_folder_that_is_gone_on_with_stays_and_is_one_programs() {
+        let parent = tempfile::tempdir().expect("a folder");
+        let first = Folder::kept(parent.path(), "dense.ply").expect("a folder");
+        let path = first.path().to_owned();
+        assert!(matches!(Folder::kept(parent.path(), "dense.ply"), Err(TilesError::Busy(_))));
+        assert_ne!(Folder::kept(parent.path(), "other.ply").expect("a folder").path(), path);
+        drop(first);
+        Folder::temporary(parent.path()).expect("a folder");
+        assert!(path.exists());
+        Folder::kept(parent.path(), "dense.ply").expect("a folder").remove().expect("removed");
+        assert!(!path.exists());
+    }
+
+    #[test]
+    fn the_disk_tells_what_is_free() {
+        let folder = tempfile::tempdir().expect("a folder");
+        assert!(cfg!(not(unix)) || free_space(folder.path()).is_some_and(|free| free > 0));
+    }
+}

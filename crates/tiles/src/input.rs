@@ -1,0 +1,107 @@
+//! A cloud that is read until it is known whether one tile holds it.
+
+use densecloud_cloud::{Attribute, Cloud, Values};
+use densecloud_formats::{Block, CloudReader, ColumnName, Ending, FormatError, Header};
+
+use crate::chunk::ROWS;
+
+/// What a reader turns out to hold.
+pub enum Input<'r> {
+    /// No more points than a tile: the cloud, as [`CloudReader::read`] gives it.
+    Small(Box<Cloud>, Header),
+    /// More than that.
+    Large(Large<'r>),
+}
+
+/// A cloud of more points than a tile, its first ones read.
+pub struct Large<'r> {
+    pub(crate) reader: CloudReader<'r>,
+    pub(crate) header: Header,
+    pub(crate) first: Vec<Block>,
+}
+
+impl<'r> Input<'r> {
+    /// Reads until there are more than `tile_points` points, or none are left. Memory: that of these points.
+    ///
+    /// # Errors
+    /// As [`CloudReader::next_block`] and [`CloudReader::finish`].
+    pub fn read(mut reader: CloudReader<'r>, tile_points: u64) -> Result<Self, FormatError> {
+        let header = reader.header().clone();
+        let (mut first, mut points) = (Vec::new(), 0);
+        let mut block = Block::default();
+        while reader.next_block(ROWS, &mut block)? {
+            points += block.positions.len() as u64;
+            first.push(std::mem::take(&mut block));
+            if points > tile_points {
+                return Ok(Self::Large(Large { reader, header, first }));
+            }
+        }
+        Ok(Self::Small(Box::new(joined(first, reader.finish()?)), header))
+    }
+}
+
+/// The cloud of all these blocks.
+fn joined(blocks: Vec<Block>, ending: Ending) -> Cloud {
+    let Ending { columns, dropped_properties, notes, origin } = ending;
+    let mut attributes = empty(&columns);
+    let mut positions = Vec::with_capacity(blocks.iter().map(|block| block.positions.len()).sum());
+    for mut block in blocks {
+        positions.append(&mut block.positions);
+        let values = kept(block.columns, &columns);
+        attributes
+            .iter_mut()
+            .zip(values)
+            .for_each(|(attribute, mut more)| attribute.values.append(&mut more));
+    }
+    Cloud { positions, attributes, dropped_properties, notes, origin }
+}
+
+/// The attributes that the columns of a file are, without values.
+pub(crate) fn empty(columns: &[Option<ColumnName>]) -> Vec<Attribute> {
+    let attribute =
+        |column: &ColumnName| Attribute { name: column.name.clone(), values: Values::new(column.kind) };
+    columns.iter().flatten().map(attribute).collect()
+}
+
+/// The columns of a block that are attributes, in their last types: those of text change on the way.
+pub(crate) fn kept(block: Vec<Values>, columns: &[Option<ColumnName>]) -> Vec<Values> {
+    let last = |(values, column): (Values, &Option<ColumnName>)| Some(values.cast(column.as_ref()?.kind));
+    block.into_iter().zip(columns).filter_map(last).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use densecloud_formats::Limits;
+
+    /// More than one block of rows, whose types change on the way: whole numbers that become fractions, that become too large
+    /// for 63 bits, and that become text.
+    fn text() -> String {
+        let row = |i: usize| {
+            let half = if i == 70_000 { ".5" } else { "" };
+            let large = if i == 69_000 { u64::MAX } else { i as u64 };
+            let word = if i == 68_000 { "tree" } else { "7" };
+            format!("{i} {} 0 {i}{half} {large} {word} {} {}\n", i % 100, i % 200, i as i64 - 9)
+        };
+        let rows: String = (0..80_000).map(row).collect();
+        format!("x y z height id word red shift\n{rows}")
+    }
+
+    #[test]
+    fn a_small_cloud_is_what_a_reader_reads() {
+        let text = text();
+        let open = || CloudReader::open(text.as_bytes(), Limits::default()).expect("a header");
+        let Input::Small(cloud, header) = Input::read(open(), 80_000).expect("a cloud") else {
+            panic!("it is small");
+        };
+        assert_eq!(header, *open().header());
+        let whole = open().read().expect("a cloud");
+        let kinds = |cloud: &Cloud| cloud.attributes.iter().map(|a| a.values.kind()).collect::<Vec<_>>();
+        assert_eq!(kinds(&cloud), kinds(&whole));
+        assert!(*cloud == whole && cloud.attributes.len() == 4);
+        let Input::Large(large) = Input::read(open(), 79_999).expect("a cloud") else {
+            panic!("it is large");
+        };
+        assert_eq!(large.first.iter().map(|block| block.positions.len()).sum::<usize>(), 80_000);
+    }
+}

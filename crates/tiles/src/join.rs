@@ -1,0 +1,136 @@
+//! From parts to one file.
+
+use std::io::Write;
+
+use densecloud::{Made, Report};
+use densecloud_cascade::CascadeError;
+use densecloud_cloud::{Attribute, Values};
+use densecloud_formats::{Block, CloudPlan, CloudWriter, FormatError};
+
+use crate::TilesError;
+use crate::chunk::{Chunks, KindName};
+use crate::run::Done;
+use crate::tiling::Tiling;
+
+/// The parts of a cloud, ready to be written one after another.
+pub struct Join<'a> {
+    tiling: &'a Tiling<'a>,
+    /// The result's attributes, without values.
+    attributes: Vec<Attribute>,
+    /// Where the header needs to know the points: it has seen them.
+    seen: Option<CloudPlan>,
+    report: Report,
+}
+
+impl Tiling<'_> {
+    /// Looks at all parts. Where the header of the result's format depends on the points, they are read for that.
+    ///
+    /// # Errors
+    /// [`TilesError::NotDone`], [`TilesError::Broken`]; [`CascadeError::NoneSure`] where no point of any is sure enough.
+    pub fn join(&self) -> Result<Join<'_>, TilesError> {
+        let (mut done, mut missing): (Vec<Done>, Vec<u32>) = Default::default();
+        for tile in 0..self.len() {
+            match self.done(tile)? {
+                Some(part) => done.push(part),
+                None => missing.push(tile),
+            }
+        }
+        if !missing.is_empty() {
+            return Err(TilesError::NotDone(missing));
+        }
+        let points: u64 = done.iter().map(|done| done.points).sum();
+        if points == 0 {
+            return Err(CascadeError::NoneSure(self.manifest.causes.options.finish.min_confidence).into());
+        }
+        let kinds = &done[0].attributes;
+        if let Some(other) = done.iter().position(|done| done.attributes != *kinds) {
+            return Err(TilesError::broken(
+                &self.folder.done(other as u32),
+                "it has other attributes than the first",
+            ));
+        }
+        let attribute =
+            |(name, kind): &(String, KindName)| Attribute { name: name.clone(), values: Values::new(kind.0) };
+        let attributes: Vec<Attribute> = kinds.iter().map(attribute).collect();
+        let mut report = self.report.clone();
+        let mut seen = CloudPlan::new(report.format, &attributes, &report.origin);
+        if seen.needs_points() {
+            self.each_block(&attributes, points, |attributes, block| seen.see(&block, attributes, 0))?;
+        }
+        report.points_out = points;
+        report.warnings.extend(self.made(&done).warnings());
+        report.tell_losses(&report.format.cannot_hold(&attributes, &report.origin), &seen.renamed());
+        let seen = seen.needs_points().then_some(seen);
+        Ok(Join { tiling: self, attributes, seen, report })
+    }
+
+    /// What became of all points.
+    fn made(&self, done: &[Done]) -> Made {
+        let sum = |of: fn(&Done) -> u64| done.iter().map(of).sum::<u64>() as usize;
+        Made {
+            positions: Vec::new(),
+            attributes: Vec::new(),
+            dropped_non_finite: (self.manifest.points - self.manifest.finite) as usize,
+            duplicates: sum(|done| done.duplicates),
+            apart: sum(|done| done.apart),
+            unsure: sum(|done| done.unsure),
+        }
+    }
+
+    /// Gives the points of all parts, with their attributes, some at a time; there must be as many as `points`.
+    fn each_block(
+        &self,
+        attributes: &[Attribute],
+        points: u64,
+        mut take: impl FnMut(&[Attribute], Vec<densecloud_cloud::Position>) -> Result<(), FormatError>,
+    ) -> Result<(), TilesError> {
+        let mut given = 0;
+        for tile in 0..self.len() {
+            let path = self.folder.part(tile);
+            let mut chunks = Chunks::open(&path)?;
+            while let Some(Block { positions, columns }) = chunks.next()? {
+                let is_whole = |(a, column): (&Attribute, &Values)| {
+                    a.values.kind() == column.kind() && column.len() == positions.len()
+                };
+                if columns.len() != attributes.len() || !attributes.iter().zip(&columns).all(is_whole) {
+                    return Err(TilesError::broken(&path, "it has other attributes than it should"));
+                }
+                given += positions.len() as u64;
+                let named = |(a, values): (&Attribute, Values)| Attribute { name: a.name.clone(), values };
+                let block: Vec<Attribute> = attributes.iter().zip(columns).map(named).collect();
+                take(&block, positions)?;
+            }
+        }
+        if given == points {
+            return Ok(());
+        }
+        let why = format!("the parts have {given} points, and should have {points}");
+        Err(TilesError::broken(self.folder.path(), why))
+    }
+}
+
+impl Join<'_> {
+    /// All that is told of the result.
+    #[must_use]
+    pub fn report(&self) -> &Report {
+        &self.report
+    }
+
+    /// Writes the result. Memory: that of some thousand points; LAZ is made in a temporary file first.
+    ///
+    /// # Errors
+    /// The sink fails, a number is beyond what the format holds, or the parts are not as they were written.
+    pub fn write(self, sink: impl Write) -> Result<(), TilesError> {
+        let Self { tiling, attributes, seen, report } = self;
+        let Report { format, origin, points_out, .. } = report;
+        let mut writer = match seen {
+            Some(seen) => seen.begin(sink)?,
+            None => CloudWriter::with(sink, format, points_out, &attributes, &origin)?,
+        };
+        tiling.each_block(&attributes, points_out, |attributes, block| {
+            writer.write_rows(&block, attributes, 0)
+        })?;
+        writer.finish()?;
+        Ok(())
+    }
+}

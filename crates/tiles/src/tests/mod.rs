@@ -1,0 +1,6 @@
+//! Small tiles of small clouds, over a backend without a network.
+
+mod formats;
+mod resume;
+mod support;
+mod whole;

@@ -1,0 +1,197 @@
+//! A plan in a folder, and how far its tiles are.
+
+use densecloud::Report;
+use densecloud::attributes::Plan;
+use densecloud::backends::ModelName;
+use densecloud_cascade::{CascadeError, Whole};
+use densecloud_cloud::Origin;
+use densecloud_formats::{Block, Ending};
+use densecloud_geometry::Partition;
+
+use crate::input::Large;
+use crate::manifest::{Causes, Manifest};
+
+use crate::plan::causes;
+use crate::run::Done;
+use crate::{Folder, Step, TilesError, Work, origin};
+
+/// A cloud that is cut into tiles: each can be [run](Self::run) alone, in any order and as often as one likes, by any number
+/// of programs at once; then they are [joined](Self::join).
+#[derive(Debug)]
+pub struct Tiling<'f> {
+    pub(crate) folder: &'f Folder,
+    pub(crate) manifest: Manifest,
+    pub(crate) partition: Partition,
+    pub(crate) whole: Whole,
+    pub(crate) plan: Plan,
+    /// What is told of the result, as far as it is known.
+    pub(crate) report: Report,
+}
+
+impl<'f> Tiling<'f> {
+    pub(crate) fn of(
+        folder: &'f Folder,
+        manifest: Manifest,
+        whole: Whole,
+        origin: Origin,
+    ) -> Result<Self, TilesError> {
+        let broken = |why: &str| TilesError::broken(&folder.manifest(), why);
+        let partition = manifest.partition().map_err(|why| broken(&why.to_string()))?;
+        if partition.len() != manifest.tiles.len() {
+            return Err(broken("it has other tiles than boxes"));
+        }
+        let (plan, report) = (manifest.plan(), manifest.report(origin));
+        Ok(Self { folder, manifest, partition, whole, plan, report })
+    }
+
+    /// What another program has planned in the folder.
+    ///
+    /// # Errors
+    /// [`TilesError::File`], [`TilesError::Broken`].
+    pub fn load(folder: &'f Folder) -> Result<Self, TilesError> {
+        let (manifest, whole) = stored(folder)?;
+        Self::of(folder, manifest, whole, origin::load(folder)?)
+    }
+
+    /// What was planned in the folder for this very work, to be gone on with ([`Folder::has_plan`]). Reads the input to its
+    /// end, to know that it is the same.
+    ///
+    /// # Errors
+    /// [`TilesError::Differs`] where it was planned for another work, and as [`Tiling::load`].
+    pub fn resumed(input: Large<'_>, work: &Work<'_>, folder: &'f Folder) -> Result<Self, TilesError> {
+        let (manifest, whole) = stored(folder)?;
+        let own = causes(work, None);
+        let asked = Causes { input: manifest.causes.input.clone(), ..own };
+        let differs = |(what, there, here)| {
+            Err(TilesError::Differs { folder: folder.path().to_owned(), what, there, here })
+        };
+        // Whatever the input is, before it is read.
+        if let Some(other) = manifest.causes.differs(&asked) {
+            return differs(other);
+        }
+        work.watch.step(Step::Read);
+        let Ending { origin, .. } = rest(input, work)?;
+        if let Some(other) = manifest.causes.differs(&causes(work, origin.sha256)) {
+            return differs(other);
+        }
+        let is_finite = manifest.points == manifest.finite;
+        let (mut origin, _) = work.options.finish.origin(&origin, is_finite);
+        if manifest.tiles.len() > 1 {
+            origin.drop_references();
+        }
+        origin.comments.push(manifest.provenance.clone());
+        Self::of(folder, manifest, whole, origin)
+    }
+
+    /// Checks that it was planned by this version of the program, for that model: parts of others would not fit.
+    ///
+    /// # Errors
+    /// [`TilesError::Differs`].
+    pub fn check(&self, model: &ModelName) -> Result<(), TilesError> {
+        let causes = &self.manifest.causes;
+        let own = Causes {
+            version: env!("CARGO_PKG_VERSION").to_owned(),
+            model: [model.name.clone(), model.sha256.clone()],
+            ..causes.clone()
+        };
+        causes.differs(&own).map_or(Ok(()), |(what, there, here)| {
+            Err(TilesError::Differs { folder: self.folder.path().to_owned(), what, there, here })
+        })
+    }
+
+    /// How many tiles there are.
+    #[must_use]
+    #[expect(clippy::len_without_is_empty, reason = "there is always one")]
+    pub fn len(&self) -> u32 {
+        self.manifest.tiles.len() as u32
+    }
+
+    /// What is told of the result before the work.
+    #[must_use]
+    pub fn report(&self) -> &Report {
+        &self.report
+    }
+
+    /// Points of the input, of each tile's own and around it, and of the result.
+    #[must_use]
+    pub fn points(&self, tile: u32) -> [u64; 3] {
+        let tile = self.manifest.tiles[tile as usize];
+        [tile.own, tile.around, tile.size]
+    }
+
+    pub(crate) fn levels(&self) -> usize {
+        (self.report.points_out as f64 / self.manifest.finite.max(1) as f64).log2().ceil().max(1.0) as usize
+            - 1
+    }
+
+    /// What is known of a tile that is done; none where it is not.
+    pub(crate) fn done(&self, tile: u32) -> Result<Option<Done>, TilesError> {
+        let path = self.folder.done(tile);
+        match std::fs::read(&path) {
+            Ok(bytes) => serde_json::from_slice(&bytes)
+                .map(Some)
+                .map_err(|why| TilesError::broken(&path, why.to_string())),
+            Err(why) if why.kind() == std::io::ErrorKind::NotFound => Ok(None),
+            Err(why) => Err(TilesError::File { path, why }),
+        }
+    }
+
+    /// The numbers of the tiles that are not done.
+    ///
+    /// # Errors
+    /// [`TilesError::File`], [`TilesError::Broken`].
+    pub fn not_done(&self) -> Result<Vec<u32>, TilesError> {
+        let mut left = Vec::new();
+        for tile in 0..self.len() {
+            left.extend(self.done(tile)?.is_none().then_some(tile));
+        }
+        Ok(left)
+    }
+
+    /// Runs all tiles that are not done.
+    ///
+    /// # Errors
+    /// As [`Tiling::run`]; the others' parts stay.
+    pub fn run_all(&self, work: &Work<'_>) -> Result<(), TilesError> {
+        let mut made = 0;
+        for tile in 0..self.len() {
+            if work.watch.cancelled() {
+                return Err(CascadeError::Cancelled.into());
+            }
+            let done = self.done(tile)?.map(|done| done.points);
+            work.watch.step(Step::Tile { done: tile, of: self.len(), points: made });
+            made += match done {
+                Some(points) => points,
+                None => self.run(tile, work.runner, work.watch)?,
+            };
+        }
+        Ok(())
+    }
+}
+
+fn stored(folder: &Folder) -> Result<(Manifest, Whole), TilesError> {
+    let path = folder.manifest();
+    let bytes = std::fs::read(&path).map_err(TilesError::file(&path))?;
+    let manifest: Manifest =
+        serde_json::from_slice(&bytes).map_err(|why| TilesError::broken(&path, why.to_string()))?;
+    let path = folder.whole();
+    let bytes = std::fs::read(&path).map_err(TilesError::file(&path))?;
+    let whole = Whole::from_bytes(&bytes).map_err(|why| TilesError::broken(&path, why.to_string()))?;
+    Ok((manifest, whole))
+}
+
+/// Reads a cloud to its end for what is told there.
+fn rest(input: Large<'_>, work: &Work<'_>) -> Result<Ending, TilesError> {
+    let Large { mut reader, first, .. } = input;
+    let mut points = first.iter().map(|block| block.positions.len() as u64).sum();
+    drop(first);
+    let mut block = Block::default();
+    while reader.next_block(crate::chunk::ROWS, &mut block)? {
+        points += block.positions.len() as u64;
+        work.watch.read(points);
+        if work.watch.cancelled() {
+            return Err(CascadeError::Cancelled.into());
+        }
+    }
+    Ok(reader.finish()?)
+}
