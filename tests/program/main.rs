@@ -8,6 +8,7 @@ mod kills;
 mod log;
 mod meanings;
 mod outputs;
+mod regions;
 mod remote;
 mod results;
 mod settings;
