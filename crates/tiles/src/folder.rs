@@ -48,7 +48,8 @@ impl Folder {
                 Err(why) => return Err(TilesError::File { path: before, why }),
             }
             let lock = match locked(&before) {
-                // Another program takes it for a leftover.
+                // Another program takes it for a leftover, or took it for one.
+                Err(_) if !before.exists() => continue,
                 Err(TilesError::Busy(_)) => continue,
                 lock => lock?,
             };
@@ -105,6 +106,18 @@ impl Folder {
     /// [`TilesError::File`].
     pub fn remove(mut self) -> Result<(), TilesError> {
         self.is_temporary = false;
+        // First, so that nobody goes on with what is half removed.
+        match fs::remove_file(self.manifest()) {
+            Err(why) if why.kind() != std::io::ErrorKind::NotFound => {
+                return Err(TilesError::File { path: self.manifest(), why });
+            }
+            _ => self.discard(),
+        }
+    }
+
+    /// Removes all of it, the lock last: what is left after a kill is still seen to be a leftover.
+    fn discard(&self) -> Result<(), TilesError> {
+        self.clear()?;
         fs::remove_dir_all(&self.path).map_err(TilesError::file(&self.path))
     }
 
@@ -178,7 +191,7 @@ impl Drop for Folder {
     fn drop(&mut self) {
         if self.is_temporary {
             // The next one removes what is left.
-            let _ = fs::remove_dir_all(&self.path);
+            let _ = self.discard();
         }
     }
 }
@@ -199,12 +212,15 @@ fn remove_leftovers(parent: &Path) -> Result<(), TilesError> {
         let Ok(entry) = entry else { continue };
         let is_ours = |name: &str| name.trim_start_matches('.').starts_with(TEMPORARY);
         let is_ours = entry.file_name().to_str().is_some_and(is_ours);
-        if is_ours
-            && entry.path().join(LOCK).exists()
-            && let Ok(lock) = locked(&entry.path())
-        {
-            // Another's folder that cannot be removed is not in the way.
-            let _ = fs::remove_dir_all(entry.path());
+        if !is_ours {
+            continue;
+        }
+        // Others' folders that cannot be removed are not in the way.
+        if !entry.path().join(LOCK).exists() {
+            // Of a program that was killed as it made or removed it: it is empty.
+            let _ = fs::remove_dir(entry.path());
+        } else if let Ok(lock) = locked(&entry.path()) {
+            let _ = Folder::at(&entry.path()).discard();
             drop(lock);
         }
     }
@@ -259,6 +275,8 @@ mod tests {
         let left = parent.path().join(format!("{TEMPORARY}0-0"));
         fs::create_dir(&left).expect("a folder");
         fs::write(left.join(LOCK), "").expect("a file");
+        // As one that was killed while it removed its own.
+        fs::create_dir(parent.path().join(format!("{TEMPORARY}0-1"))).expect("a folder");
         fs::create_dir(parent.path().join("densecloud-tiles")).expect("another's folder");
         let second = Folder::temporary(parent.path()).expect("a folder");
         assert!(first.manifest().exists() && !left.exists() && first.path() != second.path());
@@ -276,7 +294,10 @@ mod tests {
         drop(first);
         Folder::temporary(parent.path()).expect("a folder");
         assert!(path.exists());
-        Folder::kept(parent.path(), "dense.ply").expect("a folder").remove().expect("removed");
+        let folder = Folder::kept(parent.path(), "dense.ply").expect("a folder");
+        fs::write(folder.manifest(), "x").expect("a file");
+        assert!(folder.has_plan());
+        folder.remove().expect("removed");
         assert!(!path.exists());
     }
 
