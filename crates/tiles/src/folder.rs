@@ -109,7 +109,7 @@ impl Folder {
         // First, so that nobody goes on with what is half removed.
         match fs::remove_file(self.manifest()) {
             Err(why) if why.kind() != std::io::ErrorKind::NotFound => {
-                return Err(TilesError::File { path: self.manifest(), why });
+                Err(TilesError::File { path: self.manifest(), why })
             }
             _ => self.discard(),
         }

@@ -10,7 +10,7 @@ pub enum Input<'r> {
     /// No more points than a tile: the cloud, as [`CloudReader::read`] gives it.
     Small(Box<Cloud>, Header),
     /// More than that.
-    Large(Large<'r>),
+    Large(Box<Large<'r>>),
 }
 
 /// A cloud of more points than a tile, its first ones read.
@@ -33,7 +33,7 @@ impl<'r> Input<'r> {
             points += block.positions.len() as u64;
             first.push(std::mem::take(&mut block));
             if points > tile_points {
-                return Ok(Self::Large(Large { reader, header, first }));
+                return Ok(Self::Large(Box::new(Large { reader, header, first })));
             }
         }
         Ok(Self::Small(Box::new(joined(first, reader.finish()?)), header))

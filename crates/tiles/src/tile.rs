@@ -1,6 +1,6 @@
 //! A tile's points: its own, and those around it.
 
-use densecloud_cloud::{Attribute, Cloud, Origin, Values};
+use densecloud_cloud::{Attribute, Cloud, Origin, Position, Values};
 use densecloud_formats::{Adaptation, Block};
 
 use crate::chunk::read_all;
@@ -56,16 +56,20 @@ impl TileCloud {
     }
 
     /// The lowest and the highest coordinates of the tile's own points.
-    pub(crate) fn bounds(&self) -> [densecloud_cloud::Position; 2] {
+    pub(crate) fn bounds(&self) -> [Position; 2] {
         let mut bounds = [[f64::INFINITY; 3], [f64::NEG_INFINITY; 3]];
         for &place in &self.own {
-            let p = self.cloud.positions[place as usize];
-            for a in 0..3 {
-                bounds[0][a] = bounds[0][a].min(p[a]);
-                bounds[1][a] = bounds[1][a].max(p[a]);
-            }
+            widen(&mut bounds, self.cloud.positions[place as usize]);
         }
         bounds
+    }
+}
+
+/// Makes room for a position between the lowest and the highest coordinates.
+pub(crate) fn widen(bounds: &mut [Position; 2], p: Position) {
+    let [lowest, highest] = bounds;
+    for ((low, high), c) in lowest.iter_mut().zip(highest).zip(p) {
+        (*low, *high) = (low.min(c), high.max(c));
     }
 }
 

@@ -114,7 +114,7 @@ fn plan_tiles(args: &PlanArgs) -> Result<(), CliError> {
     let reader = files::open(&args.input, &options.reading)?;
     // However few points there are, they are tiles here.
     let input = match Input::read(reader, 0).map_err(|why| CliError::file(&args.input, why))? {
-        Input::Large(large) => large,
+        Input::Large(large) => *large,
         Input::Small(..) => return Err(CliError::file(&args.input, "there are no points")),
     };
     let work = Work {

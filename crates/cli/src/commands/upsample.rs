@@ -76,7 +76,7 @@ pub(super) fn run(args: &UpsampleArgs) -> Result<(), CliError> {
     let read = Input::read(reader, args.tiles.tile_points).map_err(|why| CliError::file(&args.input, why))?;
     let (cloud, header) = match read {
         Input::Small(cloud, header) => (*cloud, header),
-        Input::Large(large) => return tiled::run(args, &options, large, model, start),
+        Input::Large(large) => return tiled::run(args, &options, *large, model, start),
     };
     let prepared = Prepared::new(cloud, header.format, options, &model.name());
     let Prepared { request, mut report } = prepared.map_err(|error| refused(&args.input, &error))?;

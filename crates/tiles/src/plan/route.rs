@@ -62,8 +62,8 @@ impl<'a> Router<'a> {
         touched.dedup();
         let block = Block { positions, columns };
         for tile in touched.iter().map(|tile| *tile as usize) {
-            for side in 0..2 {
-                self.put(tile, side, super::gathered(&block, &rows[tile][side]));
+            for (side, rows) in rows[tile].iter().enumerate() {
+                self.put(tile, side, super::gathered(&block, rows));
             }
         }
         if self.held > HELD { self.flush(HELD / 2) } else { Ok(()) }

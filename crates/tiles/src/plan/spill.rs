@@ -125,10 +125,7 @@ impl<'a> Spill<'a> {
         }
         for p in block.positions.iter().filter(|p| p.iter().all(|c| c.is_finite())) {
             self.finite += 1;
-            for a in 0..3 {
-                self.bounds[0][a] = self.bounds[0][a].min(p[a]);
-                self.bounds[1][a] = self.bounds[1][a].max(p[a]);
-            }
+            crate::tile::widen(&mut self.bounds, *p);
         }
         for (i, p) in block.positions.iter().enumerate() {
             if p.iter().all(|c| c.is_finite()) {

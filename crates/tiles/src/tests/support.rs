@@ -52,7 +52,7 @@ pub(super) fn options(pairs: &[(&str, &str)], wanted: &str) -> Options {
 pub(super) fn large(bytes: &[u8], tile_points: u64) -> Large<'_> {
     let reader = CloudReader::open(bytes, Limits::default()).expect("a header");
     match Input::read(reader, tile_points).expect("a cloud") {
-        Input::Large(large) => large,
+        Input::Large(large) => *large,
         Input::Small(cloud, _) => panic!("{} points are few", cloud.positions.len()),
     }
 }
