@@ -59,6 +59,11 @@ impl Tiling<'_> {
         }
         report.points_out = points;
         report.warnings.extend(self.made(&done).warnings());
+        if self.lost {
+            let lost = "not carried over: what only the input's format knows (of COLMAP's points the keys): join where it was \
+                        planned, with `upsample`, to keep it";
+            report.warnings.push(lost.to_owned());
+        }
         report.tell_losses(&report.format.cannot_hold(&attributes, &report.origin), &seen.renamed());
         let seen = seen.needs_points().then_some(seen);
         Ok(Join { tiling: self, attributes, seen, report })

@@ -25,6 +25,8 @@ struct Stored {
     tables: Vec<StoredTable>,
     /// Whether an example of the input has what only its format knows.
     has_extra: bool,
+    /// Whether the input has more of that than an example tells.
+    lost: bool,
 }
 
 #[derive(Debug, Serialize, Deserialize)]
@@ -51,13 +53,13 @@ enum StoredColumn {
 struct Numbers(String, String);
 
 /// Writes what is known of a cloud's file as a whole. `input` is its format, `example` some of its points, in the columns
-/// that are attributes. True where all of it will be read again.
+/// that are attributes.
 pub(crate) fn store(
     folder: &Folder,
     origin: &Origin,
     input: Format,
     example: (&Block, &[densecloud_cloud::Attribute]),
-) -> Result<bool, TilesError> {
+) -> Result<(), TilesError> {
     let has_extra = origin.extra.is_some() && store_example(folder, origin, input, example);
     let stored = Stored {
         crs: origin.crs.as_ref().map(|crs| match crs {
@@ -72,11 +74,11 @@ pub(crate) fn store(
         sha256: origin.sha256,
         tables: origin.tables.iter().map(stored_table).collect(),
         has_extra,
+        lost: origin.extra.is_some() && !has_extra,
     };
     let path = folder.origin();
     let json = serde_json::to_vec(&stored).map_err(|why| TilesError::broken(&path, why.to_string()))?;
-    write_whole(&path, &json)?;
-    Ok(has_extra == origin.extra.is_some())
+    write_whole(&path, &json)
 }
 
 /// Writes a small file of the input's format; false where what is read of it does not know what the input's file does.
@@ -99,8 +101,8 @@ fn read_example(folder: &Folder) -> Option<densecloud_cloud::Extra> {
     CloudReader::open(BufReader::new(file), Limits::default()).ok()?.read().ok()?.origin.extra
 }
 
-/// Reads what [`store`] wrote.
-pub(crate) fn load(folder: &Folder) -> Result<Origin, TilesError> {
+/// Reads what [`store`] wrote, and whether there was more than that.
+pub(crate) fn load(folder: &Folder) -> Result<(Origin, bool), TilesError> {
     let path = folder.origin();
     let bytes = std::fs::read(&path).map_err(TilesError::file(&path))?;
     let broken = |why: String| TilesError::broken(&path, why);
@@ -110,7 +112,7 @@ pub(crate) fn load(folder: &Folder) -> Result<Origin, TilesError> {
     if stored.has_extra != extra.is_some() {
         return Err(TilesError::broken(&folder.example(), "it is not as it was written"));
     }
-    Ok(Origin {
+    let origin = Origin {
         crs: stored.crs.map(|crs| match crs {
             StoredCrs::Epsg(horizontal, vertical) => Crs::Epsg { horizontal, vertical },
             StoredCrs::Wkt(text) => Crs::Wkt(text),
@@ -123,7 +125,8 @@ pub(crate) fn load(folder: &Folder) -> Result<Origin, TilesError> {
         sha256: stored.sha256,
         tables: Arc::new(stored.tables.into_iter().map(table).collect::<Result<_, _>>()?),
         extra,
-    })
+    };
+    Ok((origin, stored.lost))
 }
 
 fn stored_table(table: &Table) -> StoredTable {
@@ -198,9 +201,23 @@ mod tests {
             tables: Arc::new(vec![table]),
             extra: None,
         };
-        assert!(store(&folder, &origin, format, (&Block::default(), &[])).expect("stored"));
-        let loaded = load(&folder).expect("an origin");
+        store(&folder, &origin, format, (&Block::default(), &[])).expect("stored");
+        let (loaded, lost) = load(&folder).expect("an origin");
         // NaN is not itself.
-        assert_eq!(format!("{loaded:?}"), format!("{origin:?}"));
+        assert_eq!((format!("{loaded:?}"), lost), (format!("{origin:?}"), false));
+    }
+
+    #[test]
+    fn what_an_example_does_not_tell_is_known_to_be_lost() {
+        let parent = tempfile::tempdir().expect("a folder");
+        let folder = Folder::new(&parent.path().join("work")).expect("a folder");
+        // Keys of other points than the example's.
+        let text = "7 0 0 0 1 2 3 0.5\n9 1 0 0 1 2 3 0.5\n";
+        let path = parent.path().join("points3D.txt");
+        std::fs::write(&path, text).expect("a file");
+        let (cloud, header) = densecloud_formats::read_cloud_file(&path).expect("a cloud");
+        assert!(cloud.origin.extra.is_some());
+        store(&folder, &cloud.origin, header.format, (&Block::default(), &[])).expect("stored");
+        assert!(load(&folder).expect("an origin").1);
     }
 }

@@ -26,6 +26,8 @@ pub struct Tiling<'f> {
     pub(crate) plan: Plan,
     /// What is told of the result, as far as it is known.
     pub(crate) report: Report,
+    /// Whether the input knew more of its whole than the folder does.
+    pub(crate) lost: bool,
 }
 
 impl<'f> Tiling<'f> {
@@ -41,7 +43,7 @@ impl<'f> Tiling<'f> {
             return Err(broken("it has other tiles than boxes"));
         }
         let (plan, report) = (manifest.plan(), manifest.report(origin));
-        Ok(Self { folder, manifest, partition, whole, plan, report })
+        Ok(Self { folder, manifest, partition, whole, plan, report, lost: false })
     }
 
     /// What another program has planned in the folder.
@@ -50,7 +52,8 @@ impl<'f> Tiling<'f> {
     /// [`TilesError::File`], [`TilesError::Broken`].
     pub fn load(folder: &'f Folder) -> Result<Self, TilesError> {
         let (manifest, whole) = stored(folder)?;
-        Self::of(folder, manifest, whole, origin::load(folder)?)
+        let (origin, lost) = origin::load(folder)?;
+        Ok(Self { lost, ..Self::of(folder, manifest, whole, origin)? })
     }
 
     /// What was planned in the folder for this very work, to be gone on with ([`Folder::has_plan`]). Reads the input to its
