@@ -22,11 +22,16 @@ impl Input {
         let finite: Vec<Position> =
             positions.iter().copied().filter(|p| p.iter().all(|c| c.is_finite())).collect();
         let frame = Frame::fit(&finite)?;
-        // Adding zero turns -0 into 0, so that equal points have equal bits.
-        let local: Vec<Point> = finite.iter().map(|p| frame.to_local(*p).map(|c| c + 0.0)).collect();
+        let local = local(&finite, frame);
         let (finite, non_finite) = (finite.len(), positions.len() - finite.len());
         Ok(Self { frame, points: distinct(&local), finite, non_finite })
     }
+}
+
+/// Finite positions in local coordinates.
+pub(super) fn local(positions: &[Position], frame: Frame) -> Vec<Point> {
+    // Adding zero turns -0 into 0, so that equal points have equal bits.
+    positions.iter().map(|p| frame.to_local(*p).map(|c| c + 0.0)).collect()
 }
 
 /// The first of each group of equal points, in the given order. O(n log n).

@@ -34,11 +34,11 @@ struct Level {
 }
 
 /// What one level hands to the next.
-struct Handover {
+pub(super) struct Handover {
     /// The level's result, distinct, in local coordinates.
-    sites: Arc<Sites>,
+    pub(super) sites: Arc<Sites>,
     /// For each point the spacing of the input there; none where the whole is to be equally dense.
-    local: Option<Vec<f32>>,
+    pub(super) local: Option<Vec<f32>>,
     /// Features for the next level; none before the first level.
     previous: Option<Previous>,
     /// The cascade's input, to measure strays against.
@@ -47,7 +47,11 @@ struct Handover {
 
 impl Handover {
     /// The cascade's input, to its first level.
-    fn input(input: Measured, spread: Spread, globals: &mut Globals) -> Result<Self, CascadeError> {
+    pub(super) fn input(
+        input: Measured,
+        spread: Spread,
+        globals: &mut Globals,
+    ) -> Result<Self, CascadeError> {
         let field = globals.field.clone();
         let neighbourhoods = match spread {
             Spread::Neighbourhood => {
@@ -88,12 +92,11 @@ pub(super) struct Run<'a> {
 
 /// Runs all levels on the cascade's input: the result, and points that lie just outside of what was wanted of a part.
 pub(super) fn run_levels(
-    input: Measured,
+    mut handover: Handover,
     run: &Run<'_>,
     globals: &mut Globals,
 ) -> Result<(Vec<Point>, Vec<Point>), CascadeError> {
     let levels = globals.sizes.len();
-    let mut handover = Handover::input(input, run.options.spread, globals)?;
     let mut number = 0;
     loop {
         let level = Level { number, size: globals.sizes[number], last: number + 1 == levels };

@@ -82,7 +82,7 @@ use densecloud_cloud::{FrameError, Position};
 use densecloud_geometry::{TooManyPoints, check_count};
 use globals::Globals;
 use input::Input;
-use level::{Run, run_levels};
+use level::{Handover, Run, run_levels};
 use plan::Plan;
 use weave::{Cloth, woven};
 
@@ -181,6 +181,17 @@ pub enum CascadeError {
         duplicates: usize,
         /// The least that works.
         needed: usize,
+    },
+    /// A part of a cloud shows too little surface for the points that are wanted there.
+    #[error(
+        "there are {places} places for {wanted} points: the points here lie apart, or on no surface; ask for fewer \
+         points, or for larger tiles"
+    )]
+    NoRoom {
+        /// Where points could be put.
+        places: usize,
+        /// Points that are wanted.
+        wanted: usize,
     },
     /// So many points coincide that the distinct ones would need a higher ratio than there is.
     #[error(
@@ -286,6 +297,7 @@ fn cascade(
     run.observer.plan(&globals.sizes);
     let levels = globals.sizes.len();
     let input = run.options.heeds_lines().then(|| together.points.clone());
+    let together = Handover::input(together, run.options.spread, globals)?;
     let (mut dense, _) = run_levels(together, run, globals)?;
     if let Some(input) = input {
         if run.observer.cancelled() {

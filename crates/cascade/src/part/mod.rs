@@ -15,13 +15,12 @@ pub(crate) use within::Within;
 
 use crate::apart::{Parted, joined};
 use crate::globals::Globals;
-use crate::input::distinct;
-use crate::level::{Run, run_levels};
-use crate::share::Neighbourhoods;
-use crate::sites::Sites;
+use crate::input::{distinct, local};
+use crate::level::{Handover, Run, run_levels};
+use crate::measured::Measured;
 use crate::weave::{Cloth, woven};
-use crate::{CascadeError, CascadeOptions, LevelRunner, Observer, Spread};
-use densecloud_cloud::{Point, Position};
+use crate::{CascadeError, CascadeOptions, LevelRunner, Observer};
+use densecloud_cloud::{Frame, Point, Position};
 use densecloud_geometry::{Partition, check_count};
 use within::margin;
 
@@ -75,71 +74,66 @@ pub fn upsample_part(
 ) -> Result<UpsampledPart, CascadeError> {
     options.check()?;
     check_count(part.positions.len())?;
-    let mut globals = part.whole.globals().clone();
-    let input = Input::of(part, &globals);
-    let (apart_of_all, together) = {
-        let parted = Parted::of(&input.points, runner.shape().neighbours + 1, &mut globals);
-        (parted.apart, parted.together)
-    };
-    let frame = globals.frame;
-    let belongs = |p: &Point| part.partition.cell_of(frame.to_world(*p)) == part.cell;
-    let apart: Vec<Point> = apart_of_all.into_iter().filter(belongs).collect();
-    let inside = together.points.iter().filter(|p| belongs(p)).count();
     let size = usize::try_from(part.size).unwrap_or(usize::MAX);
     check_count(size)?;
+    let mut globals = part.whole.globals().clone();
+    let Input { points, duplicates } = Input::of(part, &globals);
     let needed = runner.shape().neighbours + 1;
-    if together.points.len() < needed || inside + apart.len() > size {
-        let (distinct, duplicates) = (together.points.len(), input.duplicates);
+    let Parted { together, apart } = Parted::of(&points, needed, &mut globals);
+    drop(points);
+    if together.points.len() < needed {
+        let distinct = together.points.len();
         return Err(CascadeError::TooFewPoints { distinct, duplicates, needed });
     }
-    let size = size - apart.len();
-    let (dense, rim) = if inside == 0 {
-        (Vec::new(), Vec::new())
-    } else {
-        let local = local_spacing(&together, options.spread, &mut globals)?;
-        let (levels, ratio) = (part.whole.levels(), size as f64 / inside as f64);
-        let within = Within::new(part, globals.frame, ratio, size, levels, (&together.points, &local));
-        drop(local);
-        let of_level =
-            |level| within.size_of_level(together.points.len() << level, level, level + 1 == levels);
-        globals.plan((0..levels).map(of_level).collect());
-        observer.plan(&globals.sizes);
-        let on_lines = options.heeds_lines().then(|| together.points.clone());
-        let run = Run { options, runner, observer, part: Some(&within) };
-        let (mut dense, rim) = run_levels(together, &run, &mut globals)?;
-        if let Some(input) = on_lines {
-            if observer.cancelled() {
-                return Err(CascadeError::Cancelled);
-            }
-            let belongs = |p| within.belongs(p);
-            dense = woven(dense, Cloth { input: &input, ratio, belongs: &belongs });
-        }
-        (dense, rim)
-    };
+    let frame = globals.frame;
+    let apart: Vec<Point> = apart.into_iter().filter(|p| part.has(*p, frame)).collect();
+    let wanted = size.checked_sub(apart.len());
+    let wanted = wanted.ok_or(CascadeError::NoRoom { places: size, wanted: apart.len() })?;
+    let run = Run { options, runner, observer, part: None };
+    let (dense, rim) = part.on_surfaces(together, wanted, &run, &mut globals)?;
     let dense = joined(dense, &apart);
-    if dense.len() as u64 != part.size {
-        // All points of the cell lie apart, and more are wanted.
-        let (distinct, duplicates) = (inside, input.duplicates);
-        return Err(CascadeError::TooFewPoints { distinct, duplicates, needed });
-    }
     let world = |points: Vec<Point>| points.iter().map(|p| frame.to_world(*p)).collect();
-    Ok(UpsampledPart {
-        positions: world(dense),
-        rim: world(rim),
-        duplicates: input.duplicates,
-        apart: apart.len(),
-    })
+    Ok(UpsampledPart { positions: world(dense), rim: world(rim), duplicates, apart: apart.len() })
 }
 
-/// The spacing of the input at each of its points.
-fn local_spacing(together: &Sites, spread: Spread, globals: &mut Globals) -> Result<Vec<f32>, CascadeError> {
-    let field = globals.field.clone();
-    let of = Neighbourhoods::of(together, &mut globals.usual_point, field.as_deref())?;
-    let usual = || (0.5 * globals.usual_point.unwrap_or_default()).exp();
-    Ok(match spread {
-        Spread::Neighbourhood => of.spacing,
-        Spread::Area => vec![usual(); together.points.len()],
-    })
+impl Part<'_> {
+    /// Whether a point belongs to the cell.
+    fn has(&self, p: Point, frame: Frame) -> bool {
+        self.partition.cell_of(frame.to_world(p)) == self.cell
+    }
+
+    /// What is made of the points that lie on surfaces: `size` points of the cell, and those just outside.
+    fn on_surfaces(
+        &self,
+        together: Measured,
+        size: usize,
+        run: &Run<'_>,
+        globals: &mut Globals,
+    ) -> Result<(Vec<Point>, Vec<Point>), CascadeError> {
+        let points = together.sites.points.clone();
+        let inside = points.iter().filter(|p| self.has(**p, globals.frame)).count();
+        if inside == 0 {
+            // All points of the cell lie apart.
+            let none = (Vec::new(), Vec::new());
+            return if size == 0 { Ok(none) } else { Err(CascadeError::NoRoom { places: 0, wanted: size }) };
+        }
+        let (levels, ratio) = (self.whole.levels(), size as f64 / inside as f64);
+        let together = Handover::input(together, run.options.spread, globals)?;
+        let input = (&points[..], together.local.as_deref());
+        let within = Within::new(self, globals, ratio, size, input);
+        let of_level = |level| within.size_of_level(points.len() << level, level, level + 1 == levels);
+        globals.plan((0..levels).map(of_level).collect());
+        run.observer.plan(&globals.sizes);
+        let (dense, rim) = run_levels(together, &Run { part: Some(&within), ..*run }, globals)?;
+        if !run.options.heeds_lines() {
+            return Ok((dense, rim));
+        }
+        if run.observer.cancelled() {
+            return Err(CascadeError::Cancelled);
+        }
+        let belongs = |p| within.belongs(p);
+        Ok((woven(dense, Cloth { input: &points, ratio, belongs: &belongs }), rim))
+    }
 }
 
 /// The distinct points of a part in the whole's frame.
@@ -151,11 +145,11 @@ struct Input {
 
 impl Input {
     fn of(part: &Part<'_>, globals: &Globals) -> Self {
-        let finite = part.positions.iter().filter(|p| p.iter().all(|c| c.is_finite()));
-        let local: Vec<Point> = finite.map(|p| globals.frame.to_local(*p).map(|c| c + 0.0)).collect();
+        let finite: Vec<Position> =
+            part.positions.iter().copied().filter(|p| p.iter().all(|c| c.is_finite())).collect();
+        let local = local(&finite, globals.frame);
         let points = distinct(&local);
-        let belongs = |p: &&Point| part.partition.cell_of(globals.frame.to_world(**p)) == part.cell;
-        let count = |points: &[Point]| points.iter().filter(belongs).count();
+        let count = |points: &[Point]| points.iter().filter(|p| part.has(**p, globals.frame)).count();
         let duplicates = count(&local) - count(&points);
         Self { points, duplicates }
     }

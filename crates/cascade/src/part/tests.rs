@@ -2,7 +2,7 @@ use std::sync::Arc;
 
 use super::*;
 use crate::measured::Measured;
-use crate::{Fake, Patchwise, Quality, Silent};
+use crate::{Fake, Patchwise, Quality, Silent, Spread};
 use densecloud_geometry::{KdTree, Rng, farthest_point_sampling};
 
 fn runner() -> impl LevelRunner {
@@ -85,9 +85,9 @@ impl Cut {
             Part { positions, partition: &self.partition, cell, whole: &self.whole, size: self.size(cell) };
         let mut globals = self.whole.globals().clone();
         let together = Measured::of(&Input::of(&part, &globals).points);
-        let spacing = local_spacing(&together, self.options.spread, &mut globals).unwrap();
-        let size = part.size as usize;
-        Within::new(&part, globals.frame, self.ratio, size, self.whole.levels(), (&together.points, &spacing))
+        let handover = Handover::input(together, self.options.spread, &mut globals).unwrap();
+        let input = (&handover.sites.points[..], handover.local.as_deref());
+        Within::new(&part, &globals, self.ratio, part.size as usize, input)
     }
 }
 
@@ -234,4 +234,10 @@ fn a_part_that_cannot_be_worked_on_is_an_error() {
     let part = Part { positions, partition, cell: 0, whole, size: 20 };
     let why = upsample_part(&part, &cut.options, &runner(), &Silent).unwrap_err();
     assert!(matches!(why, CascadeError::TooFewPoints { .. }), "{why}");
+    // More than there are places for.
+    let positions = cut.positions(0);
+    let within = cut.within(0, &positions);
+    assert!(within.suffices(within.unsettled()).is_ok());
+    let why = within.suffices(within.unsettled() - 1).unwrap_err();
+    assert!(why.to_string().contains("ask for fewer points"), "{why}");
 }

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use super::field::Field;
 use crate::globals::{Globals, LevelGlobals, PolishGlobals};
-use crate::input::{Input, distinct};
+use crate::input::{Input, distinct, local};
 use crate::level::Run;
 use crate::{CascadeError, CascadeOptions, LevelRunner, Observer, Target, cascade};
 use densecloud_cloud::{Frame, Point, Position};
@@ -53,10 +53,7 @@ impl Whole {
     ) -> Result<Self, CascadeError> {
         options.check()?;
         let frame = Frame::fit(&survey.bounds)?;
-        let local = |positions: &[Position]| {
-            distinct(&positions.iter().map(|p| frame.to_local(*p).map(|c| c + 0.0)).collect::<Vec<Point>>())
-        };
-        let (sample, points) = (local(survey.sample), local(survey.places));
+        let [sample, points] = [survey.sample, survey.places].map(|of| distinct(&local(of, frame)));
         let finite = points.len();
         let input = Input { frame, points, finite, non_finite: 0 };
         let mut globals = Globals::new(frame);

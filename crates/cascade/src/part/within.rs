@@ -1,11 +1,13 @@
 //! What of a part's results is wanted: the points of its cell, those along the border by the common rule.
 
+use std::borrow::Cow;
 use std::collections::HashSet;
 
 use super::Part;
 use super::darts::{BAND, Dart, Sparing, darts};
 use crate::CascadeError;
 use crate::apart::joined;
+use crate::globals::Globals;
 use crate::strays::Kept;
 use densecloud_cloud::{Frame, Point};
 use densecloud_geometry::{KdTree, Partition, farthest_point_sampling_beside};
@@ -59,30 +61,32 @@ pub(crate) struct Within<'a> {
 
 impl<'a> Within<'a> {
     /// `size` points are wanted in the cell, `ratio` for each of its points. `input`: all points of the part, and the spacing
-    /// at each.
+    /// at each, where the result is not to be equally dense.
     pub(super) fn new(
         part: &Part<'a>,
-        frame: Frame,
+        globals: &Globals,
         ratio: f64,
         size: usize,
-        levels: usize,
-        (points, spacing): (&[Point], &[f32]),
+        (points, local): (&[Point], Option<&[f32]>),
     ) -> Self {
+        let usual = (0.5 * globals.usual_point.unwrap_or_default()).exp();
+        let even = || vec![usual; points.len()];
+        let spacing = local.map_or_else(|| Cow::Owned(even()), Cow::Borrowed);
         let sparing = Sparing { ratio: part.whole.ratio(), radius: RADIUS };
         let mut within = Self {
             partition: part.partition,
             cell: part.cell,
-            frame,
-            levels,
+            frame: globals.frame,
+            levels: part.whole.levels(),
             ratio,
             sparing,
-            usual: spacing.first().copied().unwrap_or(1.0),
+            usual,
             size,
             inside: Vec::new(),
             outside: Vec::new(),
         };
         let border = |p: Point| within.border(p);
-        let found = darts(points, spacing, sparing, &border);
+        let found = darts(points, &spacing, sparing, &border);
         let near = |dart: &Dart| within.distance(dart.at) <= 2.0 * BAND * sparing.radius_at(dart.spacing);
         let (inside, outside): (Vec<Dart>, Vec<Dart>) =
             found.into_iter().filter(near).partition(|dart| within.belongs(dart.at));
@@ -174,11 +178,7 @@ impl<'a> Within<'a> {
 
     /// Whether so many candidates are enough.
     pub(crate) fn suffices(&self, candidates: usize) -> Result<(), CascadeError> {
-        if candidates >= self.unsettled() {
-            return Ok(());
-        }
-        let needed = self.unsettled();
-        Err(CascadeError::TooFewPoints { distinct: candidates, duplicates: 0, needed })
+        room(candidates, self.unsettled())
     }
 
     /// The result: `chosen` points with the darts of the cell strewn among them; and the darts outside. `settled`: all darts,
@@ -206,13 +206,15 @@ impl<'a> Within<'a> {
         };
         let free: Vec<usize> = (0..made.len()).filter(free).collect();
         let missing = self.size - inside.len();
-        if free.len() < missing {
-            return Err(CascadeError::TooFewPoints { distinct: free.len(), duplicates: 0, needed: missing });
-        }
+        room(free.len(), missing)?;
         let points: Vec<Point> = free.iter().map(|&i| made[i]).collect();
         let local: Option<Vec<f32>> = local.map(|local| free.iter().map(|&i| local[i]).collect());
         let settled = [inside.as_slice(), &outside].concat();
         let chosen = self.sample(&points, local.as_deref(), missing, &settled);
         Ok((joined(chosen.iter().map(|&i| points[i as usize]).collect(), &inside), outside))
     }
+}
+
+fn room(places: usize, wanted: usize) -> Result<(), CascadeError> {
+    if places < wanted { Err(CascadeError::NoRoom { places, wanted }) } else { Ok(()) }
 }

@@ -30,6 +30,7 @@ impl From<CascadeError> for Problem {
             CascadeError::Ratio(_) => Self::parameter("ratio", error.to_string()),
             CascadeError::Points { .. }
             | CascadeError::TooFewPoints { .. }
+            | CascadeError::NoRoom { .. }
             | CascadeError::TooManyDuplicates { .. }
             | CascadeError::TooManyPoints(_)
             | CascadeError::NoneSure(_)
