@@ -33,7 +33,8 @@ const FEATURES: usize = 6;
 
 /// For each of the points that were made of an input, how likely it lies within one spacing of the surface, from 0 to 1. The
 /// spacing is the result's there: the input's, over the root of the ratio of the points made to the distinct points of the
-/// input. The input's spacing is the mean distance of a point to its 8 nearest others; there: the median of it over the
+/// input. Where the input is a part and its halo, and only the part's own points were made, `ratio` says how many the whole
+/// has for each of its points. The input's spacing is the mean distance of a point to its 8 nearest others; there: the median of it over the
 /// nearest input point and its 8 nearest others. Points of the input that lie apart from all surface have no part in any of
 /// this, and where one is among the points made, it is as unlikely as it is far from the others.
 ///
@@ -48,10 +49,12 @@ const FEATURES: usize = 6;
 pub fn confidence(
     input: &[Position],
     made: &[Position],
+    ratio: Option<f64>,
     cancelled: &(dyn Fn() -> bool + Sync),
 ) -> Option<Vec<f32>> {
     let Input { frame, points, .. } = Input::prepare(input).ok()?;
-    let ratio = made.len() as f32 / points.len() as f32;
+    let all = ratio.map_or(made.len(), |ratio| (ratio * input.len() as f64).round() as usize);
+    let ratio = all as f32 / points.len() as f32;
     let Parted { together, .. } = Parted::of(&points, SHEET + 2, &mut Globals::new(frame));
     if together.points.len() < SHEET + 2 {
         return Some(vec![0.0; made.len()]);
@@ -144,7 +147,7 @@ mod tests {
     }
 
     fn of(input: &[Position], made: &[Position]) -> Vec<f32> {
-        confidence(input, made, &|| false).expect("an input with an extent")
+        confidence(input, made, None, &|| false).expect("an input with an extent")
     }
 
     fn mean(values: &[f32]) -> f32 {
@@ -194,8 +197,8 @@ mod tests {
     #[test]
     fn what_cannot_be_told_is_not_sure() {
         assert_eq!(of(&square(17, 1, 0.0), &square(30, 2, 0.0)), [0.0; 30]);
-        assert_eq!(confidence(&[[1.0; 3]; 9], &square(30, 2, 0.0), &|| false), None, "one place");
-        assert_eq!(confidence(&square(100, 1, 0.0), &square(30, 2, 0.0), &|| true), None, "stopped");
+        assert_eq!(confidence(&[[1.0; 3]; 9], &square(30, 2, 0.0), None, &|| false), None, "one place");
+        assert_eq!(confidence(&square(100, 1, 0.0), &square(30, 2, 0.0), None, &|| true), None, "stopped");
         let input = [square(100, 1, 0.0), vec![[f64::NAN; 3]; 9], square(100, 1, 0.0)].concat();
         let made = square(400, 2, 0.0);
         assert_eq!(of(&input, &made), of(&square(100, 1, 0.0), &made), "NaN and duplicates say nothing");

@@ -171,7 +171,7 @@ pub fn finish_part(
     if !how.asks_confidence() {
         return Some((positions, attributes));
     }
-    let confidence = confidence_of(source, &positions, part.ratio, cancelled)?;
+    let confidence = confidence(&source.positions, &positions, part.ratio, cancelled)?;
     Some(sure::finish(positions, attributes, confidence, kept.len(), how))
 }
 
@@ -187,25 +187,6 @@ fn add_source_fields(attributes: &mut Vec<Attribute>, kept: &[u32], nearest: &[u
     generated.resize(index.len(), 1);
     attributes.push(Attribute { name: "source_index".into(), values: Values::U32(index) });
     attributes.push(Attribute { name: "is_generated".into(), values: Values::U8(generated) });
-}
-
-/// The confidence of points, of which `ratio` are made of each of the source.
-fn confidence_of(
-    source: &Cloud,
-    positions: &[Position],
-    ratio: Option<f64>,
-    cancelled: &(dyn Fn() -> bool + Sync),
-) -> Option<Vec<f32>> {
-    let count = ratio.map_or(0, |ratio| (ratio * source.positions.len() as f64).round() as usize);
-    if count <= positions.len() {
-        return confidence(&source.positions, positions, cancelled);
-    }
-    // It takes the ratio from how many points there are, and each value is of one point alone.
-    let mut all = positions.to_vec();
-    all.resize(count, *positions.first()?);
-    let mut sure = confidence(&source.positions, &all, cancelled)?;
-    sure.truncate(positions.len());
-    Some(sure)
 }
 
 #[cfg(test)]
