@@ -186,6 +186,7 @@ def test_peers_have_all_columns_and_goals_are_checked():
     reports = {column: evaluation((0.0003, 0.001, 0.05)) for column in peers.COLUMNS}
     text = peers.text(reports)
     assert "| **densecloud** | 0.300 / 2.00 / 3.00 |" in text
+    assert "| **densecloud** | 0.1500 / 20.00 |" in text.split("Corrected")[1]
     missed = peers.missed(reports, "must")
     assert "4x, even: CD 0.300, must 0.24" in missed
     assert not any(line.startswith("4x, random: CD") for line in missed)

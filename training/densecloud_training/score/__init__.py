@@ -10,6 +10,8 @@ scored is what users run: weights, merging and all. Files made on the way are ke
     validation  held-out shapes, beside the controls
     stress      curves over noise and over removed points
     rules       the cascade's own rules, each changed alone
+    thin        where a shape is thin or nearly touches itself, against the rest
+    sheets      how near another sheet of a mesh lies
     peers       the PU-GAN benchmark, beside other networks
     real        real scans, thinned and upsampled back, beside the controls
     scans       readers of scan files, and views that show them well
