@@ -33,6 +33,8 @@ const AHEAD: f32 = 0.8;
 /// opposite: the cosine.
 const BESIDE: f32 = 0.7;
 const OPPOSITE: f32 = 0.7;
+/// The line on the other side is no further off than this, in the distance of the nearer one: a wider gap is open.
+const AS_FAR: f32 = 8.0;
 /// A gap that is wider than the usual one about it by more than this is open.
 const WIDER: f32 = 3.0;
 /// The least cosine between lines side by side.
@@ -364,7 +366,8 @@ impl Beside<'_> {
             return [NONE; 2];
         };
         let opposite = |(off, far): (Point, f32)| dot(off, towards) < -OPPOSITE * far * reach;
-        [one, self.nearest(MOST, |offset| off(offset).is_some_and(opposite))]
+        let other = AS_FAR * length(sub(self.points[one as usize], self.at)) / self.spacing;
+        [one, self.nearest(other.min(MOST), |offset| off(offset).is_some_and(opposite))]
     }
 
     /// The nearest point whose offset is `accepted`, within so many spacings, or [`NONE`].

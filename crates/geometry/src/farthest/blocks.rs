@@ -11,7 +11,7 @@
 
 use rayon::prelude::*;
 
-use super::{First, Item, Key, NONE, Node, Tree, Weights};
+use super::{First, Item, Key, Node, Tree, Weights};
 use crate::kdtree::squared;
 use crate::limit::indices;
 use densecloud_cloud::Point;
@@ -38,7 +38,7 @@ pub(super) fn sample(
     split(points, &mut order, size, &mut cells);
     let tree = |cell: &mut [u32]| {
         let mut items: Vec<Item> = cell.iter().map(|&i| (points[i as usize], i)).collect();
-        Tree::over(&mut items, weights)
+        Tree::over(&mut items, weights, first.beside())
     };
     let trees: Vec<Tree> = cells.into_par_iter().map(tree).collect();
     drop(order);
@@ -46,15 +46,9 @@ pub(super) fn sample(
         Blocks { beside: vec![Vec::new(); trees.len()], trees: trees.into_iter().map(Some).collect() };
 
     let mut chosen = Vec::new();
-    match first {
-        First::Point(first) => {
-            chosen.push(first);
-            blocks.take_note(&[(points[first as usize], first)]);
-        }
-        First::Beside(beside) => {
-            let items: Vec<Item> = beside.iter().map(|q| (*q, NONE)).collect();
-            blocks.trees.par_iter_mut().flatten().for_each(|tree| tree.take_note(&items));
-        }
+    if let First::Point(first) = first {
+        chosen.push(first);
+        blocks.take_note(&[(points[first as usize], first)]);
     }
     while chosen.len() < count.min(ALONE * blocks.trees.len()) {
         let next = blocks.top().index();

@@ -75,8 +75,7 @@ pub fn scaled_farthest_point_sampling(
 }
 
 /// As [`scaled_farthest_point_sampling`], beside points that are chosen already: the first is the point farthest from all of
-/// `beside`, which are none of `points`; where these are none, the one of index 0. Fastest when those points come in no
-/// particular order.
+/// `beside`, which are none of `points`; where these are none, the one of index 0.
 ///
 /// # Panics
 /// As [`scaled_farthest_point_sampling`].
@@ -106,6 +105,15 @@ enum First<'a> {
     Point(u32),
     /// Points that are none of its own, of which there is one at least.
     Beside(&'a [Point]),
+}
+
+impl<'a> First<'a> {
+    fn beside(self) -> &'a [Point] {
+        match self {
+            Self::Point(_) => &[],
+            Self::Beside(beside) => beside,
+        }
+    }
 }
 
 /// What a squared distance to each point counts.
@@ -145,13 +153,11 @@ fn start(points: &[Point], weights: Weights<'_>, count: usize, first: First<'_>)
 /// One point after the other, on one thread.
 fn in_turn(points: &[Point], weights: Weights<'_>, count: usize, first: First<'_>) -> Vec<u32> {
     let mut chosen = Vec::with_capacity(count);
-    let mut tree = Tree::new(points, weights);
+    let mut tree =
+        Tree::over(&mut points.iter().copied().zip(0..).collect::<Vec<_>>(), weights, first.beside());
     let mut next = match first {
         First::Point(first) => first,
-        First::Beside(beside) => {
-            beside.iter().for_each(|q| tree.choose(*q, NONE));
-            tree.nodes[0].key.index()
-        }
+        First::Beside(_) => tree.nodes[0].key.index(),
     };
     loop {
         chosen.push(next);
@@ -257,11 +263,8 @@ impl Bucket {
 }
 
 impl Tree {
-    fn new(points: &[Point], weights: Weights<'_>) -> Self {
-        Self::over(&mut points.iter().copied().zip(0..).collect::<Vec<_>>(), weights)
-    }
-
-    fn over(items: &mut [Item], weights: Weights<'_>) -> Self {
+    /// Of points none of which is chosen, and others `beside` them that are.
+    fn over(items: &mut [Item], weights: Weights<'_>, beside: &[Point]) -> Self {
         let buckets = items.len().div_ceil(BUCKET);
         let empty = Node {
             lo: [f32::INFINITY; 3],
@@ -273,26 +276,30 @@ impl Tree {
             nodes: vec![empty; 2 * buckets.next_power_of_two() - 1],
             buckets: Vec::with_capacity(buckets),
         };
-        tree.build(0, items, weights);
+        tree.build(0, items, weights, beside);
         tree
     }
 
     /// Buckets are made left to right, so a node's buckets follow from its place alone.
-    fn build(&mut self, node: usize, items: &mut [Item], weights: Weights<'_>) {
+    fn build(&mut self, node: usize, items: &mut [Item], weights: Weights<'_>, beside: &[Point]) {
         let (lo, hi) = bounds(items.iter().map(|(p, _)| *p));
+        let beside = near_box(lo, hi, beside);
         let buckets = items.len().div_ceil(BUCKET);
         if buckets <= 1 {
             // In a bucket the first of equal distances is the one of the lowest index.
             items.sort_unstable_by_key(|&(_, i)| i);
-            let bucket = bucket(items, weights);
+            let mut bucket = bucket(items, weights);
+            for q in &beside {
+                bucket.update(*q, NONE);
+            }
             let lightest = items.iter().map(|&(_, i)| weights.at(i)).fold(f32::INFINITY, f32::min);
             self.nodes[node] = Node { lo, hi, key: bucket.farthest(), lightest };
             self.buckets.push(bucket);
             return;
         }
         let (left, right) = halves(items, buckets / 2 * BUCKET, |&item| item);
-        self.build(2 * node + 1, left, weights);
-        self.build(2 * node + 2, right, weights);
+        self.build(2 * node + 1, left, weights, &beside);
+        self.build(2 * node + 2, right, weights, &beside);
         let (left, right) = (&self.nodes[2 * node + 1], &self.nodes[2 * node + 2]);
         let (key, lightest) = (left.key.max(right.key), left.lightest.min(right.lightest));
         self.nodes[node] = Node { lo, hi, key, lightest };
@@ -329,6 +336,16 @@ impl Node {
         let offset = std::array::from_fn(|a| (self.lo[a] - q[a]).max(q[a] - self.hi[a]).max(0.0));
         squared(offset) * self.lightest <= self.key.distance()
     }
+}
+
+/// Those of some points that may be nearest to anything in a box. Distances are computed as those to a point inside are, of
+/// which they are bounds, since rounding is monotone.
+fn near_box(lo: Point, hi: Point, points: &[Point]) -> Vec<Point> {
+    let farthest =
+        |q: &Point| squared(std::array::from_fn(|a| (q[a] - lo[a]).abs().max((hi[a] - q[a]).abs())));
+    let nearest = |q: &Point| squared(std::array::from_fn(|a| (lo[a] - q[a]).max(q[a] - hi[a]).max(0.0)));
+    let reach = points.iter().map(farthest).fold(f32::INFINITY, f32::min);
+    points.iter().filter(|q| nearest(q) <= reach).copied().collect()
 }
 
 /// The first `middle` points along the longest side of their box, and the others; ties by index make
