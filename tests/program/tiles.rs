@@ -50,6 +50,29 @@ fn the_steps_give_what_the_command_gives() {
 }
 
 #[test]
+fn memory_decides_how_large_tiles_are() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = within(&folder);
+    std::fs::write(path("in.xyz"), sphere(9000)).expect("a file");
+    let of = |size: [&str; 2]| {
+        run(&[&["upsample", &path("in.xyz"), &path("out.ply"), "--ratio", "2"][..], &size].concat())
+    };
+    let told = |made: &std::process::Output| String::from_utf8_lossy(&made.stderr).into_owned();
+    let few = of(["--max-memory", "175000000"]);
+    assert!(few.status.success() && told(&few).contains(" tiles)"), "{few:?}");
+    let whole = of(["--max-memory", "1000000000"]);
+    assert!(whole.status.success() && !told(&whole).contains(" tiles)"), "{whole:?}");
+    let refused = of(["--max-memory", "1000000"]);
+    assert_eq!(refused.status.code(), Some(64), "{refused:?}");
+    assert!(
+        told(&refused).contains("--max-memory: 1000000 bytes of memory are too few for tiles; give "),
+        "{refused:?}"
+    );
+    let both = run(&["upsample", "in.xyz", "out.ply", "--max-memory", "auto", TILE[0], TILE[1]]);
+    assert_eq!(both.status.code(), Some(64), "{both:?}");
+}
+
+#[test]
 fn pipes_on_both_sides_give_the_same() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = within(&folder);

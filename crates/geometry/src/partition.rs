@@ -45,10 +45,27 @@ impl Partition {
     /// Cuts space into `cells` boxes (1 at least) by a sample of finite positions: along the longest side of what is in a
     /// box, near the middle, where the points are thin. Where points coincide there are fewer boxes. O(n log n log cells).
     #[must_use]
-    pub fn cut(mut sample: Vec<Position>, cells: usize) -> Self {
-        let mut splits = Vec::new();
-        let mut count = 0;
-        split(&mut sample, cells.max(1), &mut splits, &mut count);
+    pub fn cut(sample: Vec<Position>, cells: usize) -> Self {
+        Self::graded(sample, cells, 0)
+    }
+
+    /// As [`cut`](Self::cut), with the first box halved so many times, and each time the lower half again: the first boxes
+    /// are small, and what is made of them is soon done. Where there is one box alone it stays.
+    ///
+    /// ```
+    /// use densecloud_geometry::Partition;
+    ///
+    /// let line: Vec<_> = (0..4000).map(|i| [f64::from(i), 0.0, 0.0]).collect();
+    /// let partition = Partition::graded(line.clone(), 2, 2);
+    /// let count = |cell| line.iter().filter(|p| partition.cell_of(**p) == cell).count();
+    /// let counts: Vec<_> = (0..4).map(|cell| (count(cell) as f64 / 500.0).round()).collect();
+    /// assert_eq!(counts, [1.0, 1.0, 2.0, 4.0]);
+    /// ```
+    #[must_use]
+    pub fn graded(mut sample: Vec<Position>, cells: usize, grades: u32) -> Self {
+        let (mut splits, mut count) = (Vec::new(), 0);
+        let grades = if cells > 1 { grades } else { 0 };
+        split(&mut sample, cells.max(1), grades, &mut splits, &mut count);
         Self::of(splits)
     }
 
@@ -144,16 +161,17 @@ impl Partition {
     }
 }
 
-fn split(points: &mut [Position], cells: usize, splits: &mut Vec<Split>, count: &mut u32) {
+fn split(points: &mut [Position], cells: usize, grades: u32, splits: &mut Vec<Split>, count: &mut u32) {
+    let (cells, grades) = if cells == 1 && grades > 0 { (2, grades - 1) } else { (cells, grades) };
     if let Some((axis, at, lower)) = (cells > 1).then(|| halves(points, cells)).flatten() {
         let node = splits.len();
         splits.push(Split::Cell(0));
         let share = lower as f64 / points.len() as f64;
         let few = ((share * cells as f64).round() as usize).clamp(1, cells - 1);
         let (below, above) = points.split_at_mut(lower);
-        split(below, few, splits, count);
+        split(below, few, grades, splits, count);
         splits[node] = Split::At { axis: axis as u8, at, upper: splits.len() as u32 };
-        split(above, cells - few, splits, count);
+        split(above, cells - few, 0, splits, count);
         return;
     }
     splits.push(Split::Cell(*count));

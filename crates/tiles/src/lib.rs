@@ -20,6 +20,7 @@ mod manifest;
 mod origin;
 mod plan;
 mod run;
+mod size;
 #[cfg(test)]
 mod tests;
 mod tile;
@@ -30,14 +31,12 @@ pub use folder::Folder;
 pub use input::{Input, Large};
 pub use join::Join;
 pub use plan::plan;
+pub use size::{FEWEST, TILE_POINTS, TileSize, TooLittle};
 pub use tiling::Tiling;
 
 use densecloud::Options;
 use densecloud::backends::ModelName;
 use densecloud_cascade::{LevelRunner, Observer, Silent};
-
-/// Points of a tile where nobody says how many: at four points out for each, working on one takes 0.7 GB.
-pub const TILE_POINTS: u64 = 400_000;
 
 /// What is wanted of a cloud, and who does it.
 #[derive(Clone, Copy)]
@@ -48,7 +47,7 @@ pub struct Work<'a> {
     pub model: &'a ModelName,
     /// What runs it.
     pub runner: &'a dyn LevelRunner,
-    /// The most points of a tile, about.
+    /// The most points of a tile, about ([`TileSize::points`]).
     pub tile_points: u64,
     /// Who hears how far it is.
     pub watch: &'a dyn Watch,

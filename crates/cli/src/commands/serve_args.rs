@@ -8,9 +8,10 @@ use std::time::Duration;
 use clap::{Args, ValueEnum};
 use tracing_subscriber::EnvFilter;
 
+use super::CliError;
 use super::engine_args::EngineArgs;
+use super::memory::{self, Memory};
 use super::settings::SettingsArgs;
-use super::{CliError, memory};
 use densecloud_backends::Model;
 use densecloud_engine::EngineConfig;
 use densecloud_server::{Access, BasePath, Config, CorsOrigin, Keys, Limits, LinesLost, ModelInfo, Timeouts};
@@ -58,7 +59,7 @@ pub(super) struct ServeArgs {
     queue_time: Duration,
 
     /// Bytes of memory that all work at hand may take, as estimated; auto is by the machine's memory
-    #[arg(long, env = "DENSECLOUD_MAX_MEMORY", value_name = "N", value_parser = memory,
+    #[arg(long, env = "DENSECLOUD_MAX_MEMORY", value_name = "N", value_parser = memory::parse,
         default_value = "auto")]
     max_memory: Memory,
 
@@ -357,35 +358,6 @@ impl AccessArgs {
         let keys =
             Keys::read(path).map_err(|e| CliError::Usage(format!("--keys {}: {e}", path.display())))?;
         Ok(Some(Arc::new(keys)))
-    }
-}
-
-/// How much memory work may take.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Memory {
-    Auto,
-    Bytes(u64),
-}
-
-impl Memory {
-    /// Beside so many bytes of uploads and results.
-    fn bytes(self, held: u64) -> u64 {
-        match self {
-            Self::Auto => memory::for_work(memory::available(), held),
-            Self::Bytes(bytes) => bytes,
-        }
-    }
-}
-
-fn memory(text: &str) -> Result<Memory, String> {
-    match text {
-        "auto" => Ok(Memory::Auto),
-        text => text
-            .parse()
-            .ok()
-            .filter(|&bytes| bytes > 0)
-            .map(Memory::Bytes)
-            .ok_or_else(|| "neither auto nor a positive number of bytes".to_owned()),
     }
 }
 

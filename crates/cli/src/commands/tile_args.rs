@@ -4,23 +4,46 @@ use std::ops::RangeInclusive;
 use std::path::PathBuf;
 
 use clap::Args;
-use densecloud_tiles::TILE_POINTS;
+use densecloud::Options;
+use densecloud_formats::Header;
+use densecloud_tiles::{FEWEST, TileSize};
 
-/// Points of a tile that may be asked for: fewer have too few neighbours, more cannot be told apart.
-pub(super) const TILE_POINTS_RANGE: RangeInclusive<u64> = 1000..=u32::MAX as u64;
+use super::CliError;
+use super::memory::{self, Memory};
+
+const TILE_POINTS_RANGE: RangeInclusive<u64> = FEWEST..=u32::MAX as u64;
+
+/// How large tiles are.
+#[derive(Debug, Clone, Args)]
+pub(super) struct SizeArgs {
+    /// Work on a cloud of more points than that in tiles of about as many, one after another, in memory that does not grow
+    /// with the cloud [default: 400000, fewer at more than 18 points for each]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(TILE_POINTS_RANGE))]
+    tile_points: Option<u64>,
+
+    /// Instead of a number of points, the bytes of memory that the work may take, as estimated; auto is by the machine's
+    /// memory, and gives other points on another machine
+    #[arg(long, value_name = "N", value_parser = memory::parse, conflicts_with = "tile_points")]
+    max_memory: Option<Memory>,
+}
+
+impl SizeArgs {
+    /// Points of a tile of a cloud with that header.
+    pub(super) fn points(&self, options: &Options, header: &Header) -> Result<u64, CliError> {
+        let size = match (self.tile_points, self.max_memory) {
+            (Some(points), _) => TileSize::Points(points),
+            (_, Some(memory)) => TileSize::Memory(memory.bytes(0)),
+            _ => TileSize::Usual,
+        };
+        size.points(options.goal, header).map_err(|why| CliError::Usage(format!("--max-memory: {why}")))
+    }
+}
 
 /// How large tiles are, and where they lie.
 #[derive(Debug, Clone, Args)]
 pub(super) struct TileArgs {
-    /// Work on a cloud of more points than that in tiles of about as many, one after another, in memory that does not grow
-    /// with the cloud
-    #[arg(
-        long,
-        value_name = "N",
-        default_value_t = TILE_POINTS,
-        value_parser = clap::value_parser!(u64).range(TILE_POINTS_RANGE),
-    )]
-    pub(super) tile_points: u64,
+    #[command(flatten)]
+    pub(super) size: SizeArgs,
 
     /// Where the tiles of such a cloud lie until the work is done [default: the system's folder for temporary files]
     #[arg(long, env = "DENSECLOUD_TEMP_DIR", value_name = "DIR")]

@@ -16,6 +16,7 @@ pub(super) fn run(
     args: &UpsampleArgs,
     options: &Options,
     input: Large<'static>,
+    tile_points: u64,
     model: Arc<Model>,
     start: Instant,
 ) -> Result<(), CliError> {
@@ -27,13 +28,7 @@ pub(super) fn run(
         Folder::temporary(&parent).map_err(fail)?
     };
     let (runner, progress) = (args.engine.runner(model)?, TileProgress::new(args.quiet));
-    let work = Work {
-        options,
-        model: &name,
-        runner: &*runner,
-        tile_points: args.tiles.tile_points,
-        watch: &progress,
-    };
+    let work = Work { options, model: &name, runner: &*runner, tile_points, watch: &progress };
     let tiling = match folder.has_plan() {
         true => Tiling::resumed(input, &work, &folder),
         false => plan(input, &work, &folder),

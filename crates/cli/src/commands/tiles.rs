@@ -9,7 +9,7 @@ use densecloud_tiles::{Folder, Input, TilesError, Tiling, Work, plan};
 
 use super::engine_args::EngineArgs;
 use super::options::{GOALS, OptionArgs};
-use super::tile_args::TILE_POINTS_RANGE;
+use super::tile_args::SizeArgs;
 use super::tile_progress::TileProgress;
 use super::{CliError, files, tiled};
 
@@ -52,10 +52,8 @@ struct PlanArgs {
     #[command(flatten)]
     options: OptionArgs,
 
-    /// Points of a tile, about
-    #[arg(long, value_name = "N", default_value_t = densecloud_tiles::TILE_POINTS,
-        value_parser = clap::value_parser!(u64).range(TILE_POINTS_RANGE))]
-    tile_points: u64,
+    #[command(flatten)]
+    size: SizeArgs,
 
     /// Say nothing but errors
     #[arg(short, long)]
@@ -112,18 +110,13 @@ fn plan_tiles(args: &PlanArgs) -> Result<(), CliError> {
     let (model, progress) = (args.engine.model()?, TileProgress::new(args.quiet));
     let (name, runner) = (model.name(), args.engine.runner(model)?);
     let reader = files::open(&args.input, &options.reading)?;
+    let tile_points = args.size.points(&options, reader.header())?;
     // However few points there are, they are tiles here.
     let input = match Input::read(reader, 0).map_err(|why| CliError::file(&args.input, why))? {
         Input::Large(large) => *large,
         Input::Small(..) => return Err(CliError::file(&args.input, "there are no points")),
     };
-    let work = Work {
-        options: &options,
-        model: &name,
-        runner: &*runner,
-        tile_points: args.tile_points,
-        watch: &progress,
-    };
+    let work = Work { options: &options, model: &name, runner: &*runner, tile_points, watch: &progress };
     let tiling = plan(input, &work, &folder).map_err(fail)?;
     progress.finish();
     super::warn(&tiling.report().warnings, args.quiet);

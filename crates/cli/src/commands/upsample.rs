@@ -73,10 +73,11 @@ pub(super) fn run(args: &UpsampleArgs) -> Result<(), CliError> {
     let start = Instant::now();
     let model = args.engine.model()?;
     let reader = files::open(&args.input, &options.reading)?;
-    let read = Input::read(reader, args.tiles.tile_points).map_err(|why| CliError::file(&args.input, why))?;
+    let tile_points = args.tiles.size.points(&options, reader.header())?;
+    let read = Input::read(reader, tile_points).map_err(|why| CliError::file(&args.input, why))?;
     let (cloud, header) = match read {
         Input::Small(cloud, header) => (*cloud, header),
-        Input::Large(large) => return tiled::run(args, &options, *large, model, start),
+        Input::Large(large) => return tiled::run(args, &options, *large, tile_points, model, start),
     };
     let prepared = Prepared::new(cloud, header.format, options, &model.name());
     let Prepared { request, mut report } = prepared.map_err(|error| refused(&args.input, &error))?;

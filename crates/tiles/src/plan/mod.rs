@@ -27,6 +27,10 @@ use route::Router;
 use sample::Spacings;
 use spill::Spilled;
 
+/// The first points of a result are wanted soon: the first tile is halved so often at most, and to no fewer points.
+const GRADES: u32 = 3;
+const FIRST: u64 = 25_000;
+
 /// Bytes of a point in our files beside its attributes: its coordinates and its row.
 const BARE: u64 = 28;
 
@@ -55,7 +59,9 @@ pub fn plan<'f>(input: Large<'_>, work: &Work<'_>, folder: &'f Folder) -> Result
     let ratio = likely_ratio(work, &spilled)?;
     check_space(&spilled, &attributes, ratio, work, folder)?;
     let cells = spilled.finite.div_ceil(work.tile_points.max(1)) as usize;
-    let partition = Partition::cut(rounded(&spilled)?, cells);
+    let each = spilled.finite / cells as u64;
+    let grades = (1..=GRADES).rev().find(|grades| (each >> grades) >= FIRST).unwrap_or(0);
+    let partition = Partition::graded(rounded(&spilled)?, cells, grades);
     let mut places = Places::choose(&spilled.sample, spilled.finite);
     spilled.each(folder, false, |_, block| {
         places.see(&block.positions);

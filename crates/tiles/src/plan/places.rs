@@ -7,8 +7,8 @@ use densecloud_geometry::Partition;
 const PLACES: usize = 6;
 
 /// Points that a place should have, and the most that it may.
-const WANTED: f64 = 12_000.0;
-const MOST: usize = 48_000;
+const WANTED: f64 = 6000.0;
+const MOST: usize = 24_000;
 
 /// Fewer neighbours in a sample than this tell nothing of how large a place must be.
 const ENOUGH: usize = 16;
@@ -89,7 +89,7 @@ mod tests {
         grid.chunks(1000).for_each(|block| places.see(block));
         assert_eq!(places.0.len(), PLACES);
         for place in &places.0 {
-            assert!((9_000..15_000).contains(&place.points.len()), "{}", place.points.len());
+            assert!((4500..7500).contains(&place.points.len()), "{}", place.points.len());
             let all = grid.iter().filter(|p| square(**p, place.centre) <= place.square).count();
             assert_eq!(place.points.len(), all);
         }

@@ -5,6 +5,36 @@ mod groups;
 use std::fs;
 use std::path::Path;
 
+/// How much memory work may take.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Memory {
+    Auto,
+    Bytes(u64),
+}
+
+impl Memory {
+    /// Beside so many bytes of uploads and results.
+    pub(super) fn bytes(self, held: u64) -> u64 {
+        match self {
+            Self::Auto => for_work(available(), held),
+            Self::Bytes(bytes) => bytes,
+        }
+    }
+}
+
+/// `auto` or a number of bytes.
+pub(super) fn parse(text: &str) -> Result<Memory, String> {
+    match text {
+        "auto" => Ok(Memory::Auto),
+        text => text
+            .parse()
+            .ok()
+            .filter(|&bytes| bytes > 0)
+            .map(Memory::Bytes)
+            .ok_or_else(|| "neither auto nor a positive number of bytes".to_owned()),
+    }
+}
+
 /// Bytes that the program may still take: what the system has, or, where that is less, what its control
 /// groups leave; none where neither tells.
 pub(super) fn available() -> Option<u64> {
