@@ -12,6 +12,7 @@ scored is what users run: weights, merging and all. Files made on the way are ke
     rules       the cascade's own rules, each changed alone
     thin        where a shape is thin or nearly touches itself, against the rest
     sheets      how near another sheet of a mesh lies
+    tiled       the same clouds in one piece and in tiles
     peers       the PU-GAN benchmark, beside other networks
     real        real scans, thinned and upsampled back, beside the controls
     scans       readers of scan files, and views that show them well

@@ -8,7 +8,7 @@ from typing import List, Sequence
 from ..clouds import validation_names
 from ..errors import run_command
 from ..prepare import find_program
-from . import confidence, noisy, peers, pictures, plane, real, rules, stress, targets, thin, validation, worst
+from . import confidence, noisy, peers, pictures, plane, real, rules, stress, targets, thin, tiled, validation, worst
 from .inputs import Inputs
 from .program import Program
 
@@ -33,6 +33,8 @@ def parser() -> argparse.ArgumentParser:
     commands.add_parser("rules", parents=[common, meshes], help="overlap, merging, strays, polish: each changed alone")
     commands.add_parser("targets", parents=[common, meshes], help="how well a spacing or a density is met")
     commands.add_parser("thin", parents=[common, meshes], help="thin and close parts of the shapes against the rest")
+    found = commands.add_parser("tiles", parents=[common, meshes], help="shapes and scans in one piece and in tiles")
+    found.add_argument("--scans", type=Path, action="append", default=[], help="a folder of scans; may be given again")
     found = commands.add_parser("peers", parents=[common], help="the PU-GAN benchmark, beside other networks")
     found.add_argument("--benchmark", type=Path, required=True, help="folder with mesh/, input_*/ and reference_*/")
     found = commands.add_parser("real", parents=[common], help="real scans, thinned and upsampled back")
@@ -91,6 +93,9 @@ def run(arguments: argparse.Namespace) -> None:
         write(out, "targets.md", targets.text(targets.evaluate(held_out(arguments, program), out)))
     elif arguments.command == "thin":
         write(out, "thin.md", thin.text(thin.evaluate(held_out(arguments, program))))
+    elif arguments.command == "tiles":
+        inputs = held_out(arguments, program, validation_names()[: tiled.SHAPES])
+        write(out, "tiles.md", tiled.text(tiled.shapes(inputs), tiled.scans(program, arguments.scans, out)))
     elif arguments.command == "peers":
         only: List[str] = arguments.shapes.split(",") if arguments.shapes else []
         write(out, "peers.md", peers.text(peers.evaluate(program, arguments.benchmark, out, only or None)))
