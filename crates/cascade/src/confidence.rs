@@ -10,6 +10,7 @@ use rayon::prelude::*;
 use super::apart::Parted;
 use super::globals::{Globals, median};
 use super::input::Input;
+use super::sites::Sites;
 use densecloud_cloud::{Point, Position};
 use densecloud_geometry::{KdTree, Neighbour, Plane, Walk};
 
@@ -26,7 +27,7 @@ const THINNEST: f32 = 0.02;
 /// Result points between two questions whether to stop.
 const BLOCK: usize = 1 << 16;
 
-/// The constants of the model: one alone, then one for each of [`Sites::features`].
+/// The constants of the model: one alone, then one for each of [`Support::features`].
 const CONSTANT: f32 = 11.1731;
 const WEIGHTS: [f32; FEATURES] = [-9.0120, -3.8998, -3.4054, 0.5559, -1.4350, -1.5274];
 const FEATURES: usize = 6;
@@ -59,13 +60,13 @@ pub fn confidence(
     if together.points.len() < SHEET + 2 {
         return Some(vec![0.0; made.len()]);
     }
-    let sites = Sites::of(&together.sites, ratio.sqrt());
+    let support = Support::of(&together.sites, ratio.sqrt());
     let mut confidence = Vec::with_capacity(made.len());
     for block in made.chunks(BLOCK) {
         if cancelled() {
             return None;
         }
-        let of = |walk: &mut Walk, p: &Position| likely(sites.features(frame.to_local(*p), walk));
+        let of = |walk: &mut Walk, p: &Position| likely(support.features(frame.to_local(*p), walk));
         confidence.par_extend(block.par_iter().map_init(Walk::default, of));
     }
     Some(confidence)
@@ -78,7 +79,7 @@ fn likely(features: [f32; FEATURES]) -> f32 {
 }
 
 /// The input's points on surfaces, and what each is like.
-struct Sites<'a> {
+struct Support<'a> {
     tree: &'a KdTree,
     points: &'a [Point],
     /// The input's spacing there.
@@ -89,9 +90,9 @@ struct Sites<'a> {
     root: f32,
 }
 
-impl<'a> Sites<'a> {
+impl<'a> Support<'a> {
     /// Of more than [`SHEET`] distinct points. O(n log n).
-    fn of(super::sites::Sites { points, tree, .. }: &'a super::sites::Sites, root: f32) -> Self {
+    fn of(Sites { points, tree, .. }: &'a Sites, root: f32) -> Self {
         let own = |walk: &mut Walk, p: &Point| {
             tree.nearest_next(*p, SHEET + 1, walk);
             (mean_distance(&walk.found[1..=AROUND]), roughness(&Plane::fit(points, &walk.found[1..])))
