@@ -83,5 +83,6 @@ pub use ply::PlyEncoding;
 pub use reader::{Block, CloudReader, ColumnName, Ending, read_cloud_file, read_cloud_file_as};
 pub use reading::{AxisColumns, InputFormat, Reading, UnknownName};
 pub use registry::Format;
+pub use spool::set_temp_folder;
 pub use writer::{CloudPlan, CloudWriter, Encoded, encode, encode_spooled};
 pub use xyz::{Decimal, Separator};

@@ -2,12 +2,34 @@
 
 use std::fs::File;
 use std::io::{self, Cursor, ErrorKind, Read, Seek, SeekFrom, Write};
+use std::path::Path;
+use std::sync::OnceLock;
 
 /// Most bytes that a spool holds in memory.
 pub(crate) const IN_MEMORY: usize = 64 << 20;
 
 /// Bytes of a file that are held at a time.
 const WINDOW: u64 = 64 << 10;
+
+/// Where temporary files lie, if not in the system's folder for them.
+static FOLDER: OnceLock<Box<Path>> = OnceLock::new();
+
+/// Says where temporary files lie from now on, for the whole program: copies of LAS, LAZ and E57 that come from no file, and what
+/// LAZ, COPC and E57 are made in. They have no names, so that none is left behind. Without a word, and once one was said, the
+/// folder stays: the system's, or that one.
+///
+/// # Errors
+/// The folder cannot be made.
+pub fn set_temp_folder(folder: &Path) -> io::Result<()> {
+    std::fs::create_dir_all(folder)?;
+    FOLDER.get_or_init(|| folder.into());
+    Ok(())
+}
+
+/// A temporary file without a name.
+fn unnamed() -> io::Result<File> {
+    FOLDER.get().map_or_else(tempfile::tempfile, tempfile::tempfile_in)
+}
 
 /// Bytes to read, write and seek in, for libraries that need to. Up to [`IN_MEMORY`] bytes are held in memory. More go
 /// to a temporary file without a name, and only a window of [`WINDOW`] bytes of it is held. Where no such file can be
@@ -81,7 +103,7 @@ impl Spool {
     /// Moves the bytes from memory to a temporary file, if one can be written.
     fn roll(&mut self) {
         let Store::Memory(bytes) = &mut self.store else { return };
-        let written = tempfile::tempfile().and_then(|mut file| {
+        let written = unnamed().and_then(|mut file| {
             file.write_all(bytes.get_ref())?;
             Ok(file)
         });
@@ -331,6 +353,23 @@ mod tests {
         assert_eq!((spool.len(), spool.number::<2>(4_200_000).unwrap()), (10_000_000, Some(42 * 257)));
         assert_eq!(spool.number::<8>(9_999_993).unwrap(), None);
         assert!(spool.held() <= 1 << 17);
+    }
+
+    #[test]
+    #[cfg(target_os = "linux")]
+    fn temporary_files_lie_in_the_folder_that_was_said_and_have_no_name() {
+        // For all tests of this program, so it stays.
+        let folder = tempfile::tempdir().expect("a folder").keep().join("deep");
+        set_temp_folder(&folder).expect("a folder");
+        let mut spool = Spool::with(10);
+        spool.write_all(&[1; 100]).expect("a file");
+        let files = std::fs::read_dir("/proc/self/fd").expect("files");
+        let links = files.flatten().filter_map(|file| std::fs::read_link(file.path()).ok());
+        assert!(links.into_iter().any(|link| link.starts_with(&folder)));
+        assert_eq!(std::fs::read_dir(&folder).expect("a folder").count(), 0);
+        // The first word counts.
+        set_temp_folder(&folder.join("other")).expect("a folder");
+        assert_eq!(FOLDER.get().map(AsRef::as_ref), Some(folder.as_path()));
     }
 
     #[test]

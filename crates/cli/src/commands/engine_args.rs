@@ -29,8 +29,11 @@ pub(super) struct EngineArgs {
 }
 
 impl EngineArgs {
-    /// Reads the model.
+    /// Reads the model. The global pool, on which files are read and written and tiles are worked on, gets its threads before
+    /// anything else asks for some.
     pub(super) fn model(&self) -> Result<Arc<Model>, CliError> {
+        // Where there is a pool by now, it stays.
+        let _ = rayon::ThreadPoolBuilder::new().num_threads(self.threads).build_global();
         let model = match &self.model {
             Some(folder) => Model::load(folder),
             None => Model::embedded(),
@@ -46,11 +49,9 @@ impl EngineArgs {
 }
 
 impl EngineArgs {
-    /// What runs a model without an engine, on the global pool, which gets its threads.
+    /// What runs a model without an engine, on the global pool.
     pub(super) fn runner(&self, model: Arc<Model>) -> Result<Arc<dyn LevelRunner>, CliError> {
         let backend = OnnxBackend::new(model).map_err(|e| CliError::Failed(e.to_string()))?;
-        // Where there is a pool by now, it stays.
-        let _ = rayon::ThreadPoolBuilder::new().num_threads(self.threads).build_global();
         Ok(Arc::new(Patchwise::new(Arc::new(backend))))
     }
 }

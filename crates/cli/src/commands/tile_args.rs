@@ -1,7 +1,7 @@
 //! Options of a work in tiles.
 
 use std::ops::RangeInclusive;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
 use densecloud::Options;
@@ -45,14 +45,25 @@ pub(super) struct TileArgs {
     #[command(flatten)]
     pub(super) size: SizeArgs,
 
-    /// Where the tiles of such a cloud lie until the work is done [default: the system's folder for temporary files]
+    /// Where temporary files lie until the work is done: the tiles of such a cloud, copies of LAS and E57 that come by a pipe, and
+    /// what LAZ, COPC and E57 are made in [default: the system's folder for temporary files]
     #[arg(long, env = "DENSECLOUD_TEMP_DIR", value_name = "DIR")]
     pub(super) temp_dir: Option<PathBuf>,
 }
 
 impl TileArgs {
+    /// Has all temporary files in their folder.
+    pub(super) fn settle(&self) -> Result<(), CliError> {
+        self.temp_dir.as_deref().map_or(Ok(()), temp_files_in)
+    }
+
     /// The folder for temporary ones.
     pub(super) fn parent(&self) -> PathBuf {
         self.temp_dir.clone().unwrap_or_else(std::env::temp_dir)
     }
+}
+
+/// Has temporary files without a name in a folder.
+pub(super) fn temp_files_in(folder: &Path) -> Result<(), CliError> {
+    densecloud_formats::set_temp_folder(folder).map_err(|why| CliError::file(folder, why))
 }

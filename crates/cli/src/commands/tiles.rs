@@ -9,7 +9,7 @@ use densecloud_tiles::{Folder, Input, TilesError, Tiling, Work, plan};
 
 use super::engine_args::EngineArgs;
 use super::options::{GOALS, OptionArgs};
-use super::tile_args::SizeArgs;
+use super::tile_args::{SizeArgs, temp_files_in};
 use super::tile_progress::TileProgress;
 use super::{CliError, files, tiled};
 
@@ -107,6 +107,7 @@ fn plan_tiles(args: &PlanArgs) -> Result<(), CliError> {
     let options = Options { format, ..options };
     let fail = |why: TilesError| tiled::failed(&args.input, why);
     let folder = Folder::new(&args.folder).map_err(fail)?;
+    temp_files_in(&args.folder)?;
     let (model, progress) = (args.engine.model()?, TileProgress::new(args.quiet));
     let (name, runner) = (model.name(), args.engine.runner(model)?);
     let reader = files::open(&args.input, &options.reading)?;
@@ -141,6 +142,7 @@ fn join_tiles(args: &JoinArgs) -> Result<(), CliError> {
     let fail = |why: TilesError| tiled::failed(&args.folder, why);
     let folder = Folder::at(&args.folder);
     let tiling = Tiling::load(&folder).map_err(fail)?;
+    temp_files_in(&args.folder)?;
     check_name(&args.output, tiling.report().format)?;
     let join = tiling.join().map_err(fail)?;
     super::warn(&join.report().warnings[tiling.report().warnings.len()..], args.quiet);

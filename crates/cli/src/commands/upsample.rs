@@ -71,6 +71,7 @@ pub(super) fn run(args: &UpsampleArgs) -> Result<(), CliError> {
         return upsample_remote::run(args, &options, url);
     }
     let start = Instant::now();
+    args.tiles.settle()?;
     let model = args.engine.model()?;
     let reader = files::open(&args.input, &options.reading)?;
     let tile_points = args.tiles.size.points(&options, reader.header())?;
