@@ -1,19 +1,27 @@
-//! Reading and writing a million points in memory: `cargo bench --bench formats [-- RUNS]`, by default 5.
+//! Reading and writing a million points in memory: `cargo bench --bench formats [-- RUNS]`, by default 5. With the name of a
+//! file, `[-- RUNS FILE]`, that one: read, and written as LAZ; `RAYON_NUM_THREADS` says on how many threads.
 //!
 //! Prints the median, the extremes, and the points a second of the median.
 
 use std::fmt::Write as _;
 use std::hint::black_box;
+use std::path::Path;
 use std::time::Instant;
 
 use densecloud_cloud::{Attribute, Origin, Position, Values};
-use densecloud_formats::{CloudReader, Decimal, Format, Limits, PlyEncoding, Scalar, Separator, encode};
+use densecloud_formats::{
+    CloudReader, Decimal, Format, Limits, PlyEncoding, Scalar, Separator, encode, read_cloud_file,
+};
 use densecloud_geometry::{shape, uniform};
 
 const POINTS: usize = 1_000_000;
 
 fn main() {
     let runs = std::env::args().skip(1).find_map(|a| a.parse().ok()).unwrap_or(5);
+    if let Some(path) = std::env::args().skip(1).find(|a| !a.starts_with("--") && a.parse::<usize>().is_err())
+    {
+        return time_file(Path::new(&path), runs);
+    }
     let mesh = shape("knot").expect("a built-in shape");
     let positions = uniform(&mesh, POINTS, 1).expect("points");
     let ply = |encoding, scalar| Format::Ply { encoding, scalar };
@@ -34,10 +42,26 @@ fn main() {
         let write =
             || encode(Vec::new(), format, &positions, attributes, &Origin::default()).expect("a file");
         let bytes = write();
-        time(&format!("write {name}"), runs, || write().len());
+        time(&format!("write {name}"), runs, || {
+            write();
+            POINTS
+        });
         time_reading(name, runs, &bytes);
     }
     time_reading("PTS, three decimals", runs, pts(&positions).as_bytes());
+}
+
+/// Reads a file, and writes what it holds as LAZ.
+fn time_file(path: &Path, runs: usize) {
+    let read = || read_cloud_file(path).expect("a cloud").0;
+    time("read", runs, || read().positions.len());
+    let cloud = read();
+    let laz = Format::Las { compressed: true };
+    let write = || encode(Vec::new(), laz, &cloud.positions, &cloud.attributes, &cloud.origin);
+    time("write LAZ", runs, || {
+        write().expect("a file");
+        cloud.positions.len()
+    });
 }
 
 fn colours() -> Vec<Attribute> {
@@ -68,10 +92,11 @@ fn time_reading(name: &str, runs: usize, bytes: &[u8]) {
 }
 
 fn time(name: &str, runs: usize, mut work: impl FnMut() -> usize) {
+    let mut points = 0;
     let mut seconds: Vec<f64> = (0..=runs)
         .map(|_| {
             let start = Instant::now();
-            black_box(work());
+            points = black_box(work());
             start.elapsed().as_secs_f64()
         })
         .skip(1)
@@ -83,6 +108,6 @@ fn time(name: &str, runs: usize, mut work: impl FnMut() -> usize) {
         1e3 * median,
         1e3 * seconds[0],
         1e3 * seconds[runs - 1],
-        POINTS as f64 / median / 1e6
+        points as f64 / median / 1e6
     );
 }

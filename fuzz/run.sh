@@ -15,7 +15,7 @@ program=${DENSECLOUD:-target/release/densecloud}
 seeds=fuzz/seeds
 mkdir -p "$seeds"
 "$program" sample shape:knot "$seeds/small.ply" --points 60
-for to in small.xyz small.csv small.las small.laz small.pcd small.npy small.e57; do
+for to in small.xyz small.csv small.las small.laz small.copc.laz small.pcd small.npy small.e57; do
     "$program" upsample "$seeds/small.ply" "$seeds/$to" --ratio 1 --source-fields --normals estimate --quiet
 done
 printf 'X;Y;Z;GPS Time\n3,5;4;5;6\n1;2,5;3;7\n' > "$seeds/comma.csv"

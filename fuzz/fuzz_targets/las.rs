@@ -1,6 +1,6 @@
 #![no_main]
 
-use densecloud_fuzz::{as_is, cloud, quiet};
+use densecloud_fuzz::{cloud_and_window, quiet};
 use libfuzzer_sys::fuzz_target;
 
-fuzz_target!(init: quiet(), |data: &[u8]| cloud(b"LASF", data, as_is));
+fuzz_target!(init: quiet(), |data: &[u8]| cloud_and_window(b"LASF", data));

@@ -20,6 +20,18 @@ pub fn cloud(magic: &[u8], data: &[u8], mend: fn(&mut Vec<u8>)) {
     read(&bytes, &Reading::default());
 }
 
+/// As [`cloud`], and what lies in a box, by the file's index where it has one.
+///
+/// # Panics
+/// As [`cloud`].
+pub fn cloud_and_window(magic: &[u8], data: &[u8]) {
+    cloud(magic, data, as_is);
+    let mut bytes = data.to_vec();
+    bytes.resize(bytes.len().max(magic.len()), 0);
+    bytes[..magic.len()].copy_from_slice(magic);
+    read(&bytes, &Reading { bounds: "-0.5,-0.5,0.25,1e6".parse().ok(), ..Reading::default() });
+}
+
 /// Reads text, in the way and the encoding that its last byte asks for, where this does not end a line.
 ///
 /// # Panics
@@ -35,6 +47,7 @@ pub fn text(data: &[u8]) {
         decimal: [None, Some(Decimal::Point), Some(Decimal::Comma), None][usize::from(way >> 3 & 3)],
         axes: axes.get(usize::from(way >> 5 & 3)).and_then(|axes| axes.parse().ok()),
         format: "text".parse().ok(),
+        bounds: None,
     };
     if way < 128 {
         return read(text, &reading);

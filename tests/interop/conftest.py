@@ -1,6 +1,7 @@
 """What the tests against other programs share: the program, and a cloud with everything on it."""
 
 import contextlib
+import json
 import os
 import pathlib
 import re
@@ -24,6 +25,17 @@ def upsample():
         done = subprocess.run(command, check=False, capture_output=True, text=True, timeout=600)
         assert (done.returncode != 0) == fails, done.stderr
         return done.stderr
+
+    return run
+
+
+@pytest.fixture
+def inspect():
+    """Runs `densecloud inspect INPUT ... --json`; gives what it tells."""
+
+    def run(source, *arguments):
+        command = [PROGRAM, "inspect", str(source), "--json", *map(str, arguments)]
+        return json.loads(subprocess.run(command, check=True, capture_output=True, text=True, timeout=600).stdout)
 
     return run
 

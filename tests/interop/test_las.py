@@ -127,6 +127,47 @@ def test_las_stays_what_it_was(tmp_path, sphere, upsample, version, point_format
             assert set(ours.tolist()) <= set(theirs.tolist()), name
 
 
+@pytest.mark.parametrize("version, point_format", [("1.2", 3), ("1.4", 6), ("1.4", 8)])
+def test_copc_is_laz_by_place(tmp_path, upsample, inspect, version, point_format):
+    i = np.arange(15_000)
+    z = 1.0 - (2 * i + 1) / len(i)
+    r, angle = np.sqrt(1 - z * z), i * 2.399963229728653
+    normals = np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=1)
+    source, plain, copc = (tmp_path / name for name in ("source.laz", "plain.laz", "dense.copc.laz"))
+    scan(np.array([465_123.25, 5_204_987.5, 812.125]) + 10 * normals, normals, version, point_format).write(source)
+    for result in (plain, copc):
+        assert "warning" not in upsample(source, result, "--ratio", 4)
+
+    with laspy.CopcReader.open(copc) as reader:
+        everything = reader.query()
+        low, middle = (reader.header.mins, (reader.header.mins + reader.header.maxs) / 2)
+        quarter = reader.query(bounds=laspy.Bounds(low[:2], middle[:2]))
+        coarse = reader.query(level=0)
+        assert reader.copc_info.spacing > 0
+    whole, theirs = laspy.read(copc), laspy.read(plain)
+    assert 0 < len(coarse) < len(whole) == len(theirs) == len(everything) == 60_000
+
+    def rows(las, names):
+        return sorted(zip(*(np.asarray(las[name]).tolist() for name in names), strict=True))
+
+    names = [name for name in theirs.point_format.dimension_names if name in whole.point_format.dimension_names]
+    lost = set(theirs.point_format.dimension_names) - set(names)
+    assert lost == (set() if point_format > 5 else {"scan_angle_rank"})
+    assert {"range", "label", "planarity", "X", "intensity", "withheld"} <= set(names)
+    assert rows(whole, names) == rows(theirs, names) == rows(everything, names)
+    xy = np.stack([theirs.x, theirs.y], axis=1)
+    inside = (xy <= middle[:2]).all(axis=1)
+    assert rows(quarter, names) == rows(theirs[inside], names)
+    crs = {v.record_id: v.record_data_bytes() for v in theirs.header.vlrs if v.user_id == "LASF_Projection"}
+    assert crs == {v.record_id: v.record_data_bytes() for v in whole.header.vlrs if v.user_id == "LASF_Projection"}
+
+    bounds = [*low[:2], *middle[:2]]
+    inside = ((xy >= low[:2]) & (xy < middle[:2])).all(axis=1)
+    for path in (plain, copc):
+        told = inspect(path, "--bounds", ",".join(map(repr, map(float, bounds))))
+        assert (told["points"], told["format"]) == (inside.sum(), "LAZ" if path == plain else "COPC")
+
+
 def test_xyz_becomes_las(tmp_path, sphere, upsample):
     points, normals = sphere
     source = tmp_path / "source.csv"

@@ -318,6 +318,7 @@ fn every_door_reads_text_as_it_is_told() {
         ("separator", "comma"),
         ("decimal", "point"),
         ("format", "text"),
+        ("bounds", "-1,-1,12,9"),
     ]);
     let library = doors.library(&input, &told).expect("a dense cloud");
     let url = doors.serving.url("");
@@ -332,8 +333,9 @@ fn every_door_reads_text_as_it_is_told() {
     }
     let text = String::from_utf8(library).expect("UTF-8");
     assert!(text.starts_with("x,y,z,number\n"), "{}", &text[..40]);
+    assert_eq!(text.lines().count(), 1 + 2 * 12 * 9, "the points in the box, twice");
     // What does not fit is refused behind each.
-    for (name, value) in [("axes", "a,b,c"), ("separator", "tab"), ("format", "ply")] {
+    for (name, value) in [("axes", "a,b,c"), ("separator", "tab"), ("format", "ply"), ("bounds", "3,0,2,1")] {
         let wrong = options(&[(name, value)]);
         assert!(doors.library(&input, &wrong).is_err(), "{name}={value}");
         assert!(doors.command(&input, &wrong, &[]).is_none(), "{name}={value}");

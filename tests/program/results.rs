@@ -131,6 +131,10 @@ const CASES: &[Case] = &[
     case(Door::File, "binary.pcd", "out.pcd", "ratio=4&normals=estimate"),
     case(Door::File, "compressed.pcd", "out.pcd", "ratio=7.3"),
     case(Door::File, "ground.las", "out.pcd", "ratio=2.5"),
+    // COPC, and a part of a cloud.
+    case(Door::File, "ground.las", "out.copc.laz", "ratio=4"),
+    case(Door::File, "ring.ply", "out.copc.laz", "ratio=2.5&keep_input=true"),
+    case(Door::File, "ground.las", "out.laz", "ratio=2.5&bounds=465000,5204900,465123.25,5205100"),
     // NumPy.
     case(Door::File, "table.npy", "out.npy", "ratio=4"),
     case(Door::File, "columns.npy", "out.npy", "ratio=2.5"),

@@ -308,8 +308,16 @@ impl Format {
         points.saturating_mul(self.ask(|format| format.bytes_a_point(position, attribute_bytes)))
     }
 
+    /// An estimate of the disk that making a file takes beside the file itself, in the folder for temporary files: none for what is
+    /// [streamed](Self::is_streamed). `attribute_bytes` as for [`file_bytes`](Self::file_bytes).
+    #[must_use]
+    pub fn temporary_bytes(self, points: u64, attribute_bytes: u64) -> u64 {
+        let file = self.file_bytes(points, attribute_bytes);
+        self.ask(|format| format.temporary_bytes(file))
+    }
+
     /// An estimate, from above, of the memory that [`encode`](super::encode) takes beside the cloud: little for what is
-    /// [streamed](Self::is_streamed), 128 MiB at most for LAZ and E57 (more where no temporary file can be written), and the file three times for
+    /// [streamed](Self::is_streamed), 128 MiB at most for E57, 192 for LAZ and 448 for COPC (more where no temporary file can be written), and the file three times for
     /// compressed PCD. `attribute_bytes` as for [`file_bytes`](Self::file_bytes).
     #[must_use]
     pub fn bytes_at_work(self, points: u64, attribute_bytes: u64) -> u64 {

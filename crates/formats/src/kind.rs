@@ -170,6 +170,11 @@ pub(crate) trait Choices: fmt::Display {
         if self.is_streamed() { 0 } else { Spool::most_held(file) }
     }
 
+    /// An estimate of the bytes of temporary files that making a file of `file` bytes takes, where they are more than memory holds.
+    fn temporary_bytes(&self, file: u64) -> u64 {
+        if self.is_streamed() { 0 } else { file }
+    }
+
     /// Begins a file of exactly `points` points with attributes of these names and types.
     ///
     /// # Errors

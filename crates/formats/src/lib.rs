@@ -5,7 +5,7 @@
 //! |---|---|---|
 //! | PLY (ascii, binary of both byte orders; any scalar types; attributes) | read, write | read |
 //! | XYZ and its relatives (text columns; attributes) | read, write | |
-//! | LAS, LAZ (every point format, extra bytes); COPC, as the LAZ that it is | read, write | |
+//! | LAS, LAZ, COPC (every point format, extra bytes) | read, write | |
 //! | PCD (ascii, binary, compressed) | read, write | |
 //! | E57 (all scans, attributes) | read, write | |
 //! | NumPy `.npy` (tables and structures of any numbers) | read, write | |
@@ -39,6 +39,7 @@
 //! ```
 
 mod axes;
+mod block;
 mod columns;
 mod convert;
 mod error;
@@ -81,7 +82,7 @@ pub use npy::npy_header;
 pub use pcd::PcdEncoding;
 pub use ply::PlyEncoding;
 pub use reader::{Block, CloudReader, ColumnName, Ending, read_cloud_file, read_cloud_file_as};
-pub use reading::{AxisColumns, InputFormat, Reading, UnknownName};
+pub use reading::{AxisColumns, Bounds, InputFormat, Reading, UnknownName};
 pub use registry::Format;
 pub use spool::set_temp_folder;
 pub use writer::{CloudPlan, CloudWriter, Encoded, encode, encode_spooled};

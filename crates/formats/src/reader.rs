@@ -4,6 +4,8 @@ use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
+pub use super::block::Block;
+use super::block::Within;
 use super::columns::TextColumn;
 use super::first_bytes::ENOUGH;
 use super::kind::Opened;
@@ -12,7 +14,7 @@ use super::registry::{self, Found};
 use super::source::{Around, Input, Source};
 use super::text::shown;
 use super::{Format, FormatError, Header, Limits, Reading};
-use densecloud_cloud::{Attribute, Cloud, Kind, Named, Origin, Position, Values};
+use densecloud_cloud::{Attribute, Cloud, Kind, Named, Origin, Values};
 
 /// Points that are read at a time where nobody says how many.
 const BLOCK: usize = 1 << 16;
@@ -46,18 +48,7 @@ pub struct CloudReader<'r> {
     unheeded: Vec<&'static str>,
     /// Points given so far.
     given: u64,
-}
-
-/// Consecutive points of a file.
-#[derive(Debug, Clone, Default, PartialEq)]
-pub struct Block {
-    /// One entry a point, in the file's order and units; NaN and infinite coordinates as they are.
-    pub positions: Vec<Position>,
-    /// The other columns, one number a point each; [`Ending::columns`] says which attribute each is. All blocks have
-    /// the same columns. A text file declares no types: its columns hold 64-bit integers, without a sign from the first
-    /// one beyond 2^63 on, until a fraction is met, doubles from that block on, and nothing from the block on in which
-    /// a field is no number.
-    pub columns: Vec<Values>,
+    within: Option<Within>,
 }
 
 /// Facts about a cloud that are known only after its last point.
@@ -83,6 +74,25 @@ pub struct ColumnName {
 }
 
 impl Ending {
+    /// The cloud of the blocks that came before.
+    #[must_use]
+    pub fn joined(self, blocks: Vec<Block>) -> Cloud {
+        let Self { columns, dropped_properties, notes, origin } = self;
+        let named = columns.iter().flatten();
+        let mut attributes: Vec<Attribute> =
+            named.map(|c| Attribute { name: c.name.clone(), values: Values::new(c.kind) }).collect();
+        let mut positions = Vec::with_capacity(blocks.iter().map(|block| block.positions.len()).sum());
+        for mut block in blocks {
+            positions.append(&mut block.positions);
+            // The types of text change on the way.
+            let last =
+                |(values, column): (Values, &Option<ColumnName>)| Some(values.cast(column.as_ref()?.kind));
+            let values = block.columns.into_iter().zip(&columns).filter_map(last);
+            attributes.iter_mut().zip(values).for_each(|(a, mut more)| a.values.append(&mut more));
+        }
+        Cloud { positions, attributes, dropped_properties, notes, origin }
+    }
+
     /// Of columns of text by these names, which tell nothing of the whole.
     pub(crate) fn of_text<'a>(columns: impl Iterator<Item = (String, &'a TextColumn)>) -> Self {
         let (mut dropped_properties, mut notes) = (Vec::new(), Vec::new());
@@ -180,8 +190,14 @@ impl<'r> CloudReader<'r> {
             Some(found) => found,
             None => recognise(source.peek(ENOUGH)?, name)?,
         };
-        let Opened { header, points } = (found.open)(&mut source, limits, reading)?;
-        Ok(Self { source, header, points, unheeded: reading.unheeded(found.heeds), given: 0 })
+        let within = reading.bounds.map(|bounds| Within::new(bounds, limits));
+        let is_all = within.is_none();
+        // Which points count is known only as they come.
+        let max_points = limits.max_points.filter(|_| is_all);
+        let opened = (found.open)(&mut source, Limits { max_points, ..limits }, reading)?;
+        let Opened { mut header, points } = opened;
+        header.points = header.points.filter(|_| is_all);
+        Ok(Self { source, header, points, unheeded: reading.unheeded(found.heeds), given: 0, within })
     }
 
     /// What is known before the points are read.
@@ -200,11 +216,21 @@ impl<'r> CloudReader<'r> {
     /// # Errors
     /// The data are malformed, end early, or pass a limit.
     pub fn next_block(&mut self, rows: usize, block: &mut Block) -> Result<bool, FormatError> {
-        block.positions.clear();
-        block.columns.clear();
-        self.points.append(&mut self.source, rows.max(1), block)?;
-        self.given += block.positions.len() as u64;
-        Ok(!block.positions.is_empty())
+        loop {
+            block.positions.clear();
+            block.columns.clear();
+            self.points.append(&mut self.source, rows.max(1), block)?;
+            if block.positions.is_empty() {
+                return Ok(false);
+            }
+            if let Some(within) = &mut self.within {
+                within.keep(block, self.given)?;
+            }
+            self.given += block.positions.len() as u64;
+            if !block.positions.is_empty() {
+                return Ok(true);
+            }
+        }
     }
 
     /// Reads what follows the points; to be called once [`next_block`](Self::next_block) has given all.
@@ -214,7 +240,14 @@ impl<'r> CloudReader<'r> {
     pub fn finish(mut self) -> Result<Ending, FormatError> {
         let mut ending = self.points.finish(&mut self.source)?;
         if self.given == 0 {
-            return Err(FormatError::Empty("points"));
+            let what = if self.within.is_some() { "points within the bounds" } else { "points" };
+            return Err(FormatError::Empty(what));
+        }
+        if self.within.is_some_and(|within| within.has_others) {
+            let lost = ending.origin.drop_references();
+            ending
+                .dropped_properties
+                .extend(lost.into_iter().map(|name| format!("{name} (about all points)")));
         }
         let mut dropped = self.header.dropped_properties;
         dropped.append(&mut ending.dropped_properties);
@@ -239,6 +272,9 @@ impl<'r> CloudReader<'r> {
     /// The data are malformed, end early, go on after what the header counts, pass a limit, or hold no
     /// point.
     pub fn read(mut self) -> Result<Cloud, FormatError> {
+        if self.within.is_some() {
+            return self.read_blocks();
+        }
         let mut all = Block::default();
         loop {
             let before = all.positions.len();
@@ -255,6 +291,18 @@ impl<'r> CloudReader<'r> {
         };
         let attributes = all.columns.into_iter().zip(columns).filter_map(attribute).collect();
         Ok(Cloud { positions: all.positions, attributes, dropped_properties, notes, origin })
+    }
+}
+
+impl CloudReader<'_> {
+    /// As [`read`](Self::read), by way of blocks.
+    fn read_blocks(mut self) -> Result<Cloud, FormatError> {
+        let mut blocks = Vec::new();
+        let mut block = Block::default();
+        while self.next_block(BLOCK, &mut block)? {
+            blocks.push(std::mem::take(&mut block));
+        }
+        Ok(self.finish()?.joined(blocks))
     }
 }
 

@@ -6,6 +6,7 @@ use std::str::FromStr;
 use super::registry;
 use super::text::quoted_fields;
 use super::{Decimal, Separator};
+use densecloud_cloud::Position;
 
 /// How a file is to be read, where its content does not tell, or tells something else. The default leaves all to the
 /// content.
@@ -29,6 +30,9 @@ pub struct Reading {
     pub separator: Option<Separator>,
     /// What stands before the fraction of a number in text.
     pub decimal: Option<Decimal>,
+    /// Where the points lie that are read; all of them where nobody says. Of COPC no others are decompressed but those in the
+    /// same nodes.
+    pub bounds: Option<Bounds>,
 }
 
 /// The option that an error message advises: its name on the command line.
@@ -176,6 +180,75 @@ impl FromStr for AxisColumns {
     }
 }
 
+/// A box of space, with its least corner and without its greatest, so that a point is in exactly one of boxes that lie side by
+/// side. As text: `MINX,MINY,MAXX,MAXY`, of any height, or `MINX,MINY,MINZ,MAXX,MAXY,MAXZ`.
+///
+/// ```
+/// use densecloud_formats::Bounds;
+///
+/// let bounds: Bounds = "0,0,10,20".parse()?;
+/// assert!(bounds.contains(&[0.0, 19.9, -7.0]) && !bounds.contains(&[10.0, 5.0, 0.0]));
+/// # Ok::<(), String>(())
+/// ```
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Bounds {
+    least: Position,
+    greatest: Position,
+}
+
+/// None of its numbers is NaN.
+impl Eq for Bounds {}
+
+impl Bounds {
+    /// The box of these corners; none where it has no extent along an axis, or a coordinate is no number.
+    #[must_use]
+    pub fn new(least: Position, greatest: Position) -> Option<Self> {
+        let has_extent = least.iter().zip(&greatest).all(|(least, greatest)| least < greatest);
+        has_extent.then_some(Self { least, greatest })
+    }
+
+    /// Whether a point is inside. One without a coordinate is not.
+    #[must_use]
+    pub fn contains(&self, point: &Position) -> bool {
+        (0..3).all(|axis| self.least[axis] <= point[axis] && point[axis] < self.greatest[axis])
+    }
+
+    /// Whether a box that has both of its corners, given along each axis, has a place in common with this one.
+    pub(crate) fn meets(&self, other: [[f64; 2]; 3]) -> bool {
+        (0..3).all(|axis| other[axis][0] < self.greatest[axis] && self.least[axis] <= other[axis][1])
+    }
+}
+
+impl fmt::Display for Bounds {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let ([x, y, z], [to_x, to_y, to_z]) = (self.least, self.greatest);
+        if z == f64::NEG_INFINITY && to_z == f64::INFINITY {
+            return write!(f, "{x},{y},{to_x},{to_y}");
+        }
+        write!(f, "{x},{y},{z},{to_x},{to_y},{to_z}")
+    }
+}
+
+impl FromStr for Bounds {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let wrong = || {
+            format!(
+                "{text:?} is not a box MINX,MINY,MAXX,MAXY or MINX,MINY,MINZ,MAXX,MAXY,MAXZ, each least below its greatest"
+            )
+        };
+        let numbers = text.split(',').map(|number| number.trim().parse::<f64>());
+        let numbers: Vec<f64> = numbers.collect::<Result<_, _>>().map_err(|_| wrong())?;
+        let corners = match numbers[..] {
+            [x, y, to_x, to_y] => ([x, y, f64::NEG_INFINITY], [to_x, to_y, f64::INFINITY]),
+            [x, y, z, to_x, to_y, to_z] => ([x, y, z], [to_x, to_y, to_z]),
+            _ => return Err(wrong()),
+        };
+        Self::new(corners.0, corners.1).ok_or_else(wrong)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -205,6 +278,28 @@ mod tests {
         ] {
             let why = places(axes, names, 6).expect_err(axes);
             assert!(why.contains(part), "{axes}: {why}");
+        }
+    }
+
+    #[test]
+    fn boxes_side_by_side_have_each_point_once() {
+        let read = |text: &str| text.parse::<Bounds>();
+        let [left, right] = ["0,0,1,2", "1,0,2,2"].map(|text| read(text).expect(text));
+        for x in [0.0, 0.5, 1.0, 1.999] {
+            let point = [x, 0.0, 1e9];
+            assert!(left.contains(&point) != right.contains(&point), "{x}");
+        }
+        for outside in [[2.0, 1.0, 0.0], [1.0, 2.0, 0.0], [-0.1, 1.0, 0.0], [f64::NAN, 1.0, 0.0]] {
+            assert!(!left.contains(&outside) && !right.contains(&outside), "{outside:?}");
+        }
+        let deep = read(" -1, -1, 3.5, 1, 1, 4e0").expect("a box");
+        assert!(deep.contains(&[0.0, 0.0, 3.5]) && !deep.contains(&[0.0, 0.0, 4.0]));
+        for bounds in [left, right, deep] {
+            assert_eq!(read(&bounds.to_string()), Ok(bounds));
+        }
+        for text in ["", "1,2,3", "0,0,0,1", "1,0,0,1", "0,0,nan,1", "0,0,1,1,1", "0,0,1,1,1,x", "0;0;1;1"] {
+            let why = read(text).expect_err(text);
+            assert!(why.contains("is not a box MINX,MINY,MAXX,MAXY or"), "{why}");
         }
     }
 

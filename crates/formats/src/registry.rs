@@ -68,7 +68,9 @@ formats! {
         /// The type of the coordinates.
         scalar: Scalar,
     }
-    /// LAS, and LAZ, which is LAS compressed; COPC is read as the LAZ that it is.
+    /// COPC: LAZ whose points lie in an octree.
+    las::Copc
+    /// LAS, and LAZ, which is LAS compressed.
     las::Las {
         /// LAZ.
         compressed: bool,

@@ -219,6 +219,8 @@ mod tests {
             "density=7&overlap=3&inner=1&max_displacement=inf&max_distance=2.5&no_polish=1",
             "ratio=1&attributes=a b:drop,c:mean",
             "ratio=2&axes=\"a,b\",3,c d&separator=semicolon&decimal=comma&format=text",
+            "ratio=2&bounds=-1e-9,0,0.1,20000000.5",
+            "ratio=2&bounds=-3,-2,-1,0,1,2",
         ] {
             let options = parse(query).unwrap_or_else(|why| panic!("{query}: {why}"));
             assert_eq!(Options::parse(&options.pairs()), Ok(options.clone()), "{query}");
@@ -289,6 +291,8 @@ mod tests {
             ("separator=colon", "separator"),
             ("decimal=;", "decimal"),
             ("format=docx", "format"),
+            ("bounds=0,0,0,1", "bounds"),
+            ("bounds=1,2,3", "bounds"),
         ] {
             assert_eq!(parse(query).expect_err(query).name, name, "{query}");
         }

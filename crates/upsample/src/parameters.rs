@@ -80,7 +80,7 @@ impl fmt::Display for Value {
 }
 
 /// Every option, in the order of help texts.
-pub static PARAMETERS: [Parameter; 23] = [
+pub static PARAMETERS: [Parameter; 24] = [
     Parameter {
         name: "ratio",
         short: Some('r'),
@@ -389,6 +389,18 @@ pub static PARAMETERS: [Parameter; 23] = [
             Ok(())
         },
         tell: |options| options.reading.format.map(|format| Value::Text(format.to_string())),
+    },
+    Parameter {
+        name: "bounds",
+        short: None,
+        value: Some("MINX,MINY,MAXX,MAXY"),
+        help: "Take only the points in this box, the least corner included and the greatest not; with heights,                MINX,MINY,MINZ,MAXX,MAXY,MAXZ. Of COPC only the parts that reach into it are decompressed",
+        topic: Topic::Reading,
+        read: |options, text| {
+            options.reading.bounds = Some(text.parse()?);
+            Ok(())
+        },
+        tell: |options| options.reading.bounds.map(|bounds| Value::Text(bounds.to_string())),
     },
 ];
 

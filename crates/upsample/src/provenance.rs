@@ -47,7 +47,7 @@ pub fn line(model: &ModelName, causes: &Causes<'_>) -> String {
         source_fields: _,
         confidence: _,
     } = finish;
-    let Reading { format, axes, separator, decimal } = reading;
+    let Reading { format, axes, separator, decimal, bounds } = reading;
     let mut line = format!(
         "{MARK}version={} model={} model_sha256={}",
         env!("CARGO_PKG_VERSION"),
@@ -106,6 +106,9 @@ pub fn line(model: &ModelName, causes: &Causes<'_>) -> String {
     if let Some(format) = format {
         add("format", format);
     }
+    if let Some(bounds) = bounds {
+        add("bounds", bounds);
+    }
     line
 }
 
@@ -131,6 +134,7 @@ mod tests {
         let reading = Reading {
             axes: Some("Points 0,2,3".parse().expect("axes")),
             decimal: Some(Decimal::Comma),
+            bounds: Some("-1.5,0,3,4e7".parse().expect("a box")),
             ..Reading::default()
         };
         let causes = Causes {
@@ -147,7 +151,7 @@ mod tests {
             "model=my_model model_sha256=12cd",
             "input_sha256=abababab",
             "input_points=7 ratio=7.3 seed=5",
-            "quality=standard tile_points=400 keep_input=true attributes=a_b:mean,red:drop axes=Points_0,2,3 decimal=comma",
+            "quality=standard tile_points=400 keep_input=true attributes=a_b:mean,red:drop axes=Points_0,2,3 decimal=comma bounds=-1.5,0,3,40000000",
         ] {
             assert!(made.contains(part), "{made}");
         }

@@ -89,8 +89,12 @@ fn arg(parameter: &'static Parameter) -> Arg {
             arg.value_name(value).value_parser(parse)
         }
     };
-    // A place to look from is of no use without normals, and may begin with a minus.
-    if parameter.name == "sensor" { arg.allow_hyphen_values(true).requires("normals") } else { arg }
+    // Coordinates may begin with a minus, and a place to look from is of no use without normals.
+    match parameter.name {
+        "sensor" => arg.allow_hyphen_values(true).requires("normals"),
+        "bounds" => arg.allow_hyphen_values(true),
+        _ => arg,
+    }
 }
 
 fn help(parameter: &Parameter) -> String {

@@ -25,11 +25,11 @@ Examples:
   densecloud upsample scan.ply dense.ply --ratio 8 --server http://big-machine:8080
   cat scan.ply | densecloud upsample - - --ratio 2.5 > dense.ply")]
 pub(super) struct UpsampleArgs {
-    /// The sparse cloud: PLY, LAS, LAZ, E57, PCD, NumPy, OFF, OBJ or text, recognised by its content; `-` for standard
-    /// input
+    /// The sparse cloud: PLY, LAS, LAZ, COPC, E57, PCD, NumPy, OFF, OBJ or text, recognised by its content; `-` for
+    /// standard input
     pub(super) input: PathBuf,
 
-    /// The dense cloud: .ply, .las, .laz, .e57, .pcd, .npy or text such as .xyz (without an extension, and of
+    /// The dense cloud: .ply, .las, .laz, .copc.laz, .e57, .pcd, .npy or text such as .xyz (without an extension, and of
     /// text with its own one: as the input); `-` for standard output
     pub(super) output: PathBuf,
 

@@ -4,7 +4,7 @@ use super::super::spool::Spool;
 use super::super::{FormatError, Place};
 use super::LasRecord;
 use super::head::{Head, LONGEST};
-use super::records::number;
+use super::records::{is_compression, number};
 
 /// Most extra bytes in a compressed point: the decoder has tables of 10 KB for each. Real files have some tens.
 const MOST_EXTRA: usize = 1024;
@@ -106,7 +106,7 @@ fn room(file: &Spool, head: &Head) -> Option<There> {
 /// point, the number of its points, the size of each layer, and the layers; the next one follows. Without layers, the
 /// number of chunks alone tells how many points there are at least.
 fn chunked(file: &mut Spool, head: &Head, records: &[LasRecord]) -> Result<Option<There>, FormatError> {
-    let compression = records.iter().find(|r| r.user_id == "laszip encoded" && r.id == 22_204);
+    let compression = records.iter().find(|record| is_compression(record));
     let Some(compression) = compression.map(|record| record.data.as_slice()) else { return Ok(None) };
     let Some(items) = compression.get(34..) else { return Ok(None) };
     // By the numbers that LASzip has for kinds of items: 0 and 14 are extra bytes.
@@ -163,7 +163,7 @@ fn plain_chunks(file: &mut Spool, head: &Head, size: u64) -> Result<Option<There
 }
 
 /// Where the table of chunks begins, in a file whose points begin at `data`, 8 bytes before its end at least.
-fn table_of_chunks(file: &mut Spool, data: u64) -> Result<u64, FormatError> {
+pub(super) fn table_of_chunks(file: &mut Spool, data: u64) -> Result<u64, FormatError> {
     let table = file.number::<8>(data)?;
     let table = if table == Some(u64::MAX) { file.number::<8>(file.len() - 8)? } else { table };
     Ok(table.unwrap_or(u64::MAX))

@@ -127,6 +127,11 @@ impl Rewritten {
         let legacy = if counts.points() == counts.legacy { counts.legacy } else { 0 };
         Ok(Self { file, legacy: (legacy as u32).to_le_bytes() })
     }
+
+    /// The file as it is.
+    pub(super) fn into_inner(self) -> Spool {
+        self.file
+    }
 }
 
 impl Read for Rewritten {

@@ -1,15 +1,20 @@
-//! LAS and LAZ, by the `las` crate: every point format, extra bytes, and COPC as the LAZ that it is.
+//! LAS, LAZ and COPC, by the `las` and `laz` crates: every point format and extra bytes.
 //!
-//! The crate reads and writes headers and compressed blocks; the fields of a point are taken from its
+//! The crates read and write headers and compressed chunks; the fields of a point are taken from its
 //! bytes and put there by [`layout`], and the records are read by [`records`], since the crate knows only
-//! the first of those after the points.
+//! the first of those after the points. COPC is LAZ whose chunks are the nodes of an octree.
 
 mod check;
+mod chunks;
+mod copc;
 mod crs;
 mod extra;
 mod head;
+mod hierarchy;
 mod layout;
+mod octree;
 mod origin;
+mod pack;
 mod plan;
 mod read;
 mod records;
@@ -25,6 +30,7 @@ use super::{Format, FormatError, Limits, Reading};
 use densecloud_cloud::{Attribute, Origin, Position, Role};
 use seen::Seen;
 
+pub(crate) use copc::Copc;
 pub(super) use origin::{LasExtra, LasOrigin, LasRecord};
 
 /// What fields hold in whole numbers.
@@ -47,6 +53,17 @@ const WHOLE: &[Role] = &[
     Role::Overlap,
     Role::ScannerChannel,
 ];
+
+/// How the points of a file lie.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Form {
+    /// As they are.
+    Plain,
+    /// Compressed, in chunks of as many each.
+    Packed,
+    /// Compressed, in the nodes of an octree.
+    Indexed,
+}
 
 /// LAS with its choices made.
 #[derive(Debug, Clone, Copy)]
@@ -73,8 +90,14 @@ impl FormatKind for Las {
         }
     }
 
-    fn open(source: &mut Source<'_>, limits: Limits, _reading: &Reading) -> Result<Opened, FormatError> {
-        Ok(Opened { header: read::open(source, limits)?, points: Box::new(read::LasPoints::default()) })
+    fn open(source: &mut Source<'_>, limits: Limits, reading: &Reading) -> Result<Opened, FormatError> {
+        read::open(source, limits, reading, |compressed| Self { compressed }.into())
+    }
+}
+
+impl Las {
+    fn form(self) -> Form {
+        if self.compressed { Form::Packed } else { Form::Plain }
     }
 }
 
@@ -96,9 +119,7 @@ impl Choices for Las {
     }
 
     fn renamed(&self, attributes: &[Attribute], origin: &Origin) -> Vec<(String, String)> {
-        let mut seen = Seen::new(*self, attributes, origin);
-        seen.see_numbers(attributes, 0..attributes.first().map_or(0, |first| first.values.len()));
-        seen.renamed().unwrap_or_default()
+        renamed(self.form(), attributes, origin)
     }
 
     fn whole_numbers(&self) -> &'static [Role] {
@@ -113,17 +134,25 @@ impl Choices for Las {
         !self.compressed
     }
 
-    /// Each record has fields that the cloud need not have.
     fn bytes_a_point(&self, position: u64, attributes: u64) -> u64 {
-        position + attributes + 24
+        position + attributes + FIELDS
+    }
+
+    fn bytes_at_work(&self, file: u64) -> u64 {
+        if self.compressed { Spool::most_held(file) + pack::most_held(file) } else { 0 }
+    }
+
+    /// It is some times smaller than its points.
+    fn temporary_bytes(&self, file: u64) -> u64 {
+        if self.compressed { file / 3 } else { 0 }
     }
 
     fn begin(&self, _points: u64, _attributes: &[Attribute], _origin: &Origin) -> Result<Begun, FormatError> {
-        Err(FormatError::NotWritten(format!("the header of {self} depends on all points: see them first")))
+        Err(unseen(self))
     }
 
     fn first_pass(&self, attributes: &[Attribute], origin: &Origin) -> Option<Box<dyn FirstPass>> {
-        Some(Box::new(Seen::new(*self, attributes, origin)))
+        Some(Box::new(Seen::new(self.form(), attributes, origin)))
     }
 
     fn spooled(
@@ -132,11 +161,26 @@ impl Choices for Las {
         attributes: &[Attribute],
         origin: &Origin,
     ) -> Result<Spool, FormatError> {
-        if self.compressed {
-            return write::packed(*self, positions, attributes, origin);
+        match self.form() {
+            Form::Plain => encoded(self, positions, attributes, origin),
+            form => write::whole(form, positions, attributes, origin),
         }
-        encoded(self, positions, attributes, origin)
     }
+}
+
+/// Bytes of the fields that a point's record has and a cloud need not have.
+const FIELDS: u64 = 24;
+
+/// As [`Choices::renamed`].
+fn renamed(form: Form, attributes: &[Attribute], origin: &Origin) -> Vec<(String, String)> {
+    let mut seen = Seen::new(form, attributes, origin);
+    seen.see_numbers(attributes, 0..attributes.first().map_or(0, |first| first.values.len()));
+    seen.renamed().unwrap_or_default()
+}
+
+/// Nobody has seen the points.
+fn unseen(format: impl fmt::Display) -> FormatError {
+    FormatError::NotWritten(format!("the header of {format} depends on all points: see them first"))
 }
 
 impl fmt::Display for Las {

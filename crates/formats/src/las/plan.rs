@@ -9,7 +9,7 @@ use super::extra::{ENTRY, KINDS, kind, scale};
 use super::layout::{self, Field};
 use super::records::{MOST, provenance};
 use super::seen::{Seen, SeenColumn};
-use super::{LasOrigin, LasRecord, crs};
+use super::{Form, LasOrigin, LasRecord, crs};
 use densecloud_cloud::{Attribute, Kind, Position, Values, each_kind};
 
 /// Steps from an offset that are surely written: the crate rounds the bounds outwards, by less than the rest.
@@ -50,7 +50,10 @@ impl Plan {
     /// The cloud is too large for 32-bit steps, or a point's attributes do not fit into 64 KiB.
     pub(super) fn new(seen: &Seen) -> Result<Self, FormatError> {
         let origin = &seen.origin;
-        let las = LasOrigin::of(origin).cloned().unwrap_or_else(|| fresh(seen));
+        let mut las = LasOrigin::of(origin).cloned().unwrap_or_else(|| fresh(seen));
+        if seen.form == Form::Indexed {
+            las.point_format = indexed(las.point_format);
+        }
         let mut format = Format::new(las.point_format).map_err(failed)?;
         format.has_waveform = false;
         let mut records = las.records.clone();
@@ -159,6 +162,15 @@ impl Plan {
     }
 }
 
+/// The point format that COPC has for what another one has.
+fn indexed(point_format: u8) -> u8 {
+    match point_format {
+        2 | 3 | 5 | 7 => 7,
+        8 | 10 => 8,
+        _ => 6,
+    }
+}
+
 /// What the crate has against a cloud.
 pub(super) fn failed(why: las::Error) -> FormatError {
     FormatError::NotWritten(why.to_string())
@@ -168,7 +180,8 @@ pub(super) fn failed(why: las::Error) -> FormatError {
 fn fresh(seen: &Seen) -> LasOrigin {
     let fits = |field: &str| seen.columns.iter().any(|column| column.fits(field));
     let has_colour = ["red", "green", "blue"].into_iter().all(fits);
-    let point_format = match (seen.origin.crs.as_ref().is_none_or(crs::is_wkt), has_colour, fits("nir")) {
+    let takes_text = seen.origin.crs.as_ref().is_none_or(crs::is_wkt);
+    let point_format = match (takes_text || seen.form == Form::Indexed, has_colour, fits("nir")) {
         (true, true, true) => 8,
         (true, true, false) => 7,
         (true, false, _) => 6,
@@ -179,7 +192,7 @@ fn fresh(seen: &Seen) -> LasOrigin {
     system_identifier[..5].copy_from_slice(b"OTHER");
     // Seconds of a week, or, beyond those, standard time.
     let time = u16::from(seen.columns.iter().any(|column| column.leaves_week));
-    let wkt = if point_format >= 6 { 16 } else { 0 };
+    let wkt = if takes_text { 16 } else { 0 };
     LasOrigin {
         version: (1, 4),
         point_format,

@@ -70,6 +70,11 @@ pub(super) fn text(bytes: &[u8]) -> String {
     String::from_utf8_lossy(&bytes[..end]).into_owned()
 }
 
+/// Whether a record tells how the points are compressed.
+pub(super) fn is_compression(record: &LasRecord) -> bool {
+    record.user_id == "laszip encoded" && record.id == 22_204
+}
+
 /// What a record is about.
 #[derive(PartialEq, Eq)]
 pub(super) enum RecordRole {

@@ -10,7 +10,7 @@ use super::super::names::Meanings;
 use super::extra::{self, scale};
 use super::layout::{self, Field};
 use super::plan::Plan;
-use super::{Las, LasOrigin, crs, write};
+use super::{Form, LasOrigin, crs, write};
 use densecloud_cloud::{Attribute, Kind, Origin, Position, Role, Values};
 
 /// The field of the time.
@@ -21,7 +21,7 @@ const WEEK: RangeInclusive<f64> = 0.0..=604_800.0;
 
 /// What is seen of a cloud.
 pub(super) struct Seen {
-    las: Las,
+    pub(super) form: Form,
     pub(super) origin: Origin,
     pub(super) points: u64,
     /// The least and the greatest coordinate along each axis.
@@ -49,12 +49,12 @@ pub(super) struct SeenColumn {
 
 impl Seen {
     /// Nothing, as yet, of a cloud with attributes of these names and types.
-    pub(super) fn new(las: Las, attributes: &[Attribute], origin: &Origin) -> Self {
+    pub(super) fn new(form: Form, attributes: &[Attribute], origin: &Origin) -> Self {
         let entry = |name: &str| {
             let extra = LasOrigin::of(origin)?.extra.iter().find(|extra| extra.name == name)?;
             Some(extra.entry.clone())
         };
-        let fields = layout::fields(widest(origin));
+        let fields = layout::fields(widest(form, origin));
         let roles: Vec<_> =
             fields.iter().filter_map(|field| Some((Role::of(field.name)?, field.name))).collect();
         let is_other_time = |name: &str, role| role == Role::Time && !is_gps_time(name, origin);
@@ -73,7 +73,7 @@ impl Seen {
             returns: [0; 15],
         };
         let columns = attributes.iter().zip(&own).map(column).collect();
-        Self { las, origin: origin.clone(), points: 0, bounds: None, columns }
+        Self { form, origin: origin.clone(), points: 0, bounds: None, columns }
     }
 
     /// Takes note of attributes alone.
@@ -98,7 +98,7 @@ impl FirstPass for Seen {
     }
 
     fn begin(self: Box<Self>) -> Result<Begun, FormatError> {
-        write::begin(Plan::new(&self)?, self.las, self.points)
+        write::begin(Plan::new(&self)?, self.form, self.points)
     }
 
     fn renamed(&self) -> Option<Vec<(String, String)>> {
@@ -161,8 +161,9 @@ fn is_gps_time(name: &str, origin: &Origin) -> bool {
 }
 
 /// A point format that has all fields that a cloud's file can have.
-fn widest(origin: &Origin) -> Format {
+fn widest(form: Form, origin: &Origin) -> Format {
     let is_extended = match LasOrigin::of(origin) {
+        _ if form == Form::Indexed => true,
         Some(las) => las.point_format >= 6,
         None => origin.crs.as_ref().is_none_or(crs::is_wkt),
     };

@@ -4,62 +4,76 @@ use std::fmt;
 use std::io::{Cursor, Seek, Write};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
-use las::{Builder, Header, PointData, PointDataBuilder, Vector, Writer};
+use las::{Builder, Header, Vector, Writer};
+use laz::{LasZipError, LazVlr, LazVlrBuilder};
 
 use super::super::FormatError;
 use super::super::kind::{Begun, FirstPass, Rows};
 use super::super::spool::Spool;
-use super::Las;
+use super::octree::IndexedRows;
+use super::pack::Packed;
 use super::plan::{Plan, failed};
 use super::records::{number, to_vlr};
 use super::seen::Seen;
+use super::{Form, LasRecord};
 use densecloud_cloud::{Attribute, Origin, Position};
 
-/// Most points encoded at a time, and most bytes of them, whatever a point has.
-const BLOCK: (usize, usize) = (1 << 16, 1 << 22);
-
-/// Bytes of the header up to the end of the bounds.
-const HEAD: usize = 227;
+/// Points of a chunk, and most bytes of them, whatever a point has.
+const CHUNK: usize = 50_000;
+const LONGEST: usize = 16 << 20;
 
 /// Begins a file. What comes from LAS keeps its version, point format, scale, offset and records; else it is version
 /// 1.4, and scale and offset are those of [`Plan`].
 ///
 /// # Errors
 /// There are more points than the version counts, or records that it has no place for.
-pub(super) fn begin(mut plan: Plan, las: Las, points: u64) -> Result<Begun, FormatError> {
-    plan.format.is_compressed = las.compressed;
+pub(super) fn begin(plan: Plan, form: Form, points: u64) -> Result<Begun, FormatError> {
     guarded(|| {
-        if las.compressed {
-            return Ok((Vec::new(), Box::new(PackedRows::new(plan)?) as Box<dyn Rows>));
-        }
-        let (header, rows) = plain(plan, points)?;
-        Ok((header, Box::new(rows) as Box<dyn Rows>))
+        let (before, rows): (Vec<u8>, Box<dyn Rows>) = match form {
+            Form::Plain => plain(plan, points)?,
+            Form::Packed => (Vec::new(), Box::new(PackedRows::new(plan, points)?)),
+            Form::Indexed => (Vec::new(), Box::new(IndexedRows::new(plan, points))),
+        };
+        Ok((before, rows))
     })
+}
+
+/// Begins an uncompressed file.
+fn plain(plan: Plan, points: u64) -> Result<Begun, FormatError> {
+    let Frame { mut before, after } = Frame::of(&plan, Vec::new())?;
+    let end = before.len() as u64 + points * u64::from(plan.format.len());
+    count(&mut before, &plan, points, end)?;
+    Ok((before, Box::new(PlainRows { plan, after })))
 }
 
 /// The whole compressed file of a cloud, from its beginning.
 ///
 /// # Errors
 /// As those of [`begin`], or a coordinate is no number, or the disk is full.
-pub(super) fn packed(
-    las: Las,
+pub(super) fn whole(
+    form: Form,
     positions: &[Position],
     attributes: &[Attribute],
     origin: &Origin,
 ) -> Result<Spool, FormatError> {
-    let mut seen = Seen::new(las, attributes, origin);
+    let mut seen = Seen::new(form, attributes, origin);
     seen.see(positions, attributes, 0)?;
-    let mut plan = Plan::new(&seen)?;
-    plan.format.is_compressed = las.compressed;
-    guarded(|| {
-        let mut rows = PackedRows::new(plan)?;
+    let (plan, points) = (Plan::new(&seen)?, positions.len() as u64);
+    let file = guarded(|| {
+        if form == Form::Indexed {
+            let mut rows = IndexedRows::new(plan, points);
+            rows.add(positions, attributes, 0)?;
+            return rows.file();
+        }
+        let mut rows = PackedRows::new(plan, points)?;
         rows.pack(positions, attributes, 0)?;
-        Ok(rows.file()?.unwrap_or_else(Spool::new))
-    })
+        rows.file()
+    })?;
+    Ok(file.unwrap_or_else(Spool::new))
 }
 
 /// A fault of another's code should be an answer, not the end of the program.
-fn guarded<T>(work: impl FnOnce() -> Result<T, FormatError>) -> Result<T, FormatError> {
+pub(super) fn guarded<T>(work: impl FnOnce() -> Result<T, FormatError>) -> Result<T, FormatError> {
     catch_unwind(AssertUnwindSafe(work))
         .unwrap_or_else(|_| Err(FormatError::NotWritten("the LAS writer failed".into())))
 }
@@ -70,18 +84,29 @@ struct PlainRows {
     after: Vec<u8>,
 }
 
-/// The header of an uncompressed file, with the records before the points.
-fn plain(mut plan: Plan, points: u64) -> Result<(Vec<u8>, PlainRows), FormatError> {
-    let encoding = plan.encoding();
-    let header = header(&mut plan)?;
-    // A file without points: the header and the records, and behind them those that are to follow the points.
-    let mut bare = Writer::new(Cursor::new(Vec::new()), header).map_err(failed)?;
-    bare.close().map_err(failed)?;
-    let mut before = bare.into_inner().map_err(failed)?.into_inner();
-    let after = before.split_off(number::<4>(&before, 96) as usize);
-    patch(&mut before, &plan, encoding);
-    count(&mut before, &plan, points)?;
-    Ok((before, PlainRows { plan, after }))
+/// What lies about the points: the header with the records before them, and the records behind them.
+pub(super) struct Frame {
+    pub(super) before: Vec<u8>,
+    pub(super) after: Vec<u8>,
+}
+
+impl Frame {
+    /// That of a file without points; `more` records stand behind the plan's own.
+    pub(super) fn of(plan: &Plan, more: Vec<LasRecord>) -> Result<Self, FormatError> {
+        let mut bare = Writer::new(Cursor::new(Vec::new()), header(plan, more)?).map_err(failed)?;
+        bare.close().map_err(failed)?;
+        let mut before = bare.into_inner().map_err(failed)?.into_inner();
+        let after = before.split_off(number::<4>(&before, 96) as usize);
+        patch(&mut before, plan);
+        Ok(Self { before, after })
+    }
+
+    /// That of a compressed one.
+    pub(super) fn packed(plan: &Plan, how: &LazVlr) -> Result<Self, FormatError> {
+        let mut frame = Self::of(plan, vec![compression(how)?])?;
+        frame.before[104] |= 0x80;
+        Ok(frame)
+    }
 }
 
 impl Rows for PlainRows {
@@ -113,47 +138,61 @@ impl fmt::Debug for PlainRows {
 /// A file that is compressed into a spool.
 struct PackedRows {
     plan: Plan,
-    encoding: u16,
-    rows: PointData,
+    points: u64,
+    frame: Frame,
+    /// Bytes of a whole chunk, and of the next one as far as it goes.
+    chunk: usize,
+    rows: Vec<u8>,
     /// Until the file is whole.
-    writer: Option<Writer<Spool>>,
+    packed: Option<Packed>,
 }
 
 impl PackedRows {
-    fn new(mut plan: Plan) -> Result<Self, FormatError> {
-        let encoding = plan.encoding();
-        let header = header(&mut plan)?;
-        let rows = PointDataBuilder::new().for_header(&header).build();
-        let writer = Some(Writer::new(Spool::new(), header).map_err(failed)?);
-        Ok(Self { plan, encoding, rows, writer })
+    fn new(plan: Plan, points: u64) -> Result<Self, FormatError> {
+        let (format, stride) = (plan.format, usize::from(plan.format.len()));
+        let rows = (LONGEST / stride).min(CHUNK);
+        let number = format.to_u8().map_err(failed)?;
+        let how = LazVlrBuilder::default().with_point_format(number, format.extra_bytes);
+        let how = how.map_err(packing)?.with_fixed_chunk_size(rows as u32).build();
+        let frame = Frame::packed(&plan, &how)?;
+        let packed = Some(Packed::new(Spool::new(), &frame.before, how)?);
+        Ok(Self { plan, points, frame, chunk: rows * stride, rows: Vec::new(), packed })
     }
 
     /// Compresses further points. The first point's attributes are at row `from`.
     fn pack(
         &mut self,
-        positions: &[Position],
+        mut positions: &[Position],
         attributes: &[Attribute],
         mut from: usize,
     ) -> Result<(), FormatError> {
-        let Some(writer) = &mut self.writer else { return Ok(()) };
-        let stride = self.rows.record_len();
-        for part in positions.chunks(block(stride)) {
-            self.plan.fill(self.rows.resize_for(part.len()), stride, part, attributes, from);
-            writer.write_points(&self.rows).map_err(failed)?;
-            from += part.len();
+        let Some(packed) = &mut self.packed else { return Ok(()) };
+        let stride = usize::from(self.plan.format.len());
+        while !positions.is_empty() {
+            let (begin, room) = (self.rows.len(), (self.chunk - self.rows.len()) / stride);
+            let (part, rest) = positions.split_at(room.min(positions.len()));
+            self.rows.resize(begin + part.len() * stride, 0);
+            self.plan.fill(&mut self.rows[begin..], stride, part, attributes, from);
+            if self.rows.len() == self.chunk {
+                packed.add(std::mem::take(&mut self.rows))?;
+            }
+            (positions, from) = (rest, from + part.len());
         }
         Ok(())
     }
 
     /// The whole file, from its beginning; once.
     fn file(&mut self) -> Result<Option<Spool>, FormatError> {
-        let Some(writer) = self.writer.take() else { return Ok(None) };
-        let mut file = writer.into_inner().map_err(failed)?;
-        let mut head = [0; HEAD];
-        file.read_at(0, &mut head)?;
-        patch(&mut head, &self.plan, self.encoding);
+        let Some(mut packed) = self.packed.take() else { return Ok(None) };
+        if !self.rows.is_empty() {
+            packed.add(std::mem::take(&mut self.rows))?;
+        }
+        let (mut file, _) = packed.end()?;
+        let Frame { before, after } = &mut self.frame;
+        count(before, &self.plan, self.points, file.len())?;
+        file.write_all(after)?;
         file.rewind()?;
-        file.write_all(&head)?;
+        file.write_all(before)?;
         file.rewind()?;
         Ok(Some(file))
     }
@@ -184,20 +223,32 @@ impl fmt::Debug for PackedRows {
     }
 }
 
-/// Points of `stride` bytes to encode at a time.
-fn block(stride: usize) -> usize {
-    let (points, bytes) = BLOCK;
-    (bytes / stride.max(1)).clamp(1, points)
+/// The record that tells how points are compressed.
+fn compression(how: &LazVlr) -> Result<LasRecord, FormatError> {
+    let mut data = Vec::new();
+    how.write_to(&mut data).map_err(|why| packing(why.into()))?;
+    Ok(LasRecord {
+        user_id: LazVlr::USER_ID.to_owned(),
+        id: LazVlr::RECORD_ID,
+        description: LazVlr::DESCRIPTION.to_owned(),
+        data,
+        is_extended: false,
+    })
 }
 
-/// The header as the crate has it, with the plan's records.
-fn header(plan: &mut Plan) -> Result<Header, FormatError> {
+/// What the crate for compression has against a cloud.
+pub(super) fn packing(why: LasZipError) -> FormatError {
+    FormatError::NotWritten(why.to_string())
+}
+
+/// The header as the crate has it, with the plan's records and `more` of them.
+fn header(plan: &Plan, more: Vec<LasRecord>) -> Result<Header, FormatError> {
     let mut builder = Builder::from((1, plan.minor));
     builder.generating_software = concat!("densecloud ", env!("CARGO_PKG_VERSION")).to_owned();
     builder.point_format = plan.format;
     let [x, y, z] = plan.axes;
     builder.transforms = Vector { x, y, z };
-    for record in std::mem::take(&mut plan.records) {
+    for record in plan.records.iter().cloned().chain(more) {
         let list = if record.is_extended { &mut builder.evlrs } else { &mut builder.vlrs };
         list.push(to_vlr(record));
     }
@@ -206,11 +257,11 @@ fn header(plan: &mut Plan) -> Result<Header, FormatError> {
 
 /// What the header says that the `las` crate has other opinions of, or none: it rounds the bounds outwards once
 /// more, for one.
-fn patch(head: &mut [u8], plan: &Plan, encoding: u16) {
+fn patch(head: &mut [u8], plan: &Plan) {
     let mut put = |at: usize, word: &[u8]| head[at..at + word.len()].copy_from_slice(word);
     let las = &plan.las;
     put(4, &las.file_source_id.to_le_bytes());
-    put(6, &encoding.to_le_bytes());
+    put(6, &plan.encoding().to_le_bytes());
     put(8, &las.guid);
     put(26, &las.system_identifier);
     put(90, &las.created.0.to_le_bytes());
@@ -225,8 +276,8 @@ fn patch(head: &mut [u8], plan: &Plan, encoding: u16) {
     }
 }
 
-/// Puts the number of points into a header that was made for none: at once, by return, and where they end.
-fn count(before: &mut [u8], plan: &Plan, points: u64) -> Result<(), FormatError> {
+/// Puts the number of points into a header that was made for none: at once, by return, and where they `end`.
+pub(super) fn count(before: &mut [u8], plan: &Plan, points: u64, end: u64) -> Result<(), FormatError> {
     let short = |count: u64| u32::try_from(count).unwrap_or(0).to_le_bytes();
     let is_latest = plan.minor >= 4;
     if points > u64::from(u32::MAX) && !is_latest {
@@ -235,7 +286,7 @@ fn count(before: &mut [u8], plan: &Plan, points: u64) -> Result<(), FormatError>
         )));
     }
     let returns = plan.returns;
-    let (data, follow) = (before.len() as u64, if is_latest { number::<4>(before, 243) } else { 0 });
+    let follow = if is_latest { number::<4>(before, 243) } else { 0 };
     let mut put = |at: usize, word: &[u8]| before[at..at + word.len()].copy_from_slice(word);
     if !plan.format.is_extended {
         put(107, &short(points));
@@ -245,7 +296,7 @@ fn count(before: &mut [u8], plan: &Plan, points: u64) -> Result<(), FormatError>
     }
     if is_latest {
         if follow > 0 {
-            put(235, &(data + points * u64::from(plan.format.len())).to_le_bytes());
+            put(235, &end.to_le_bytes());
         }
         put(247, &points.to_le_bytes());
         put(255, &returns.map(u64::to_le_bytes).concat());

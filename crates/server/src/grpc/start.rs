@@ -56,8 +56,7 @@ impl Start {
             Some(Wanted::AsPoints(false)) | None => (None, columns.is_some()),
         };
         if columns.is_some() && read.reading != Reading::default() {
-            let why =
-                "axes, separator, decimal and format say how a file is read; this cloud comes as columns";
+            let why = "axes, separator, decimal, format and bounds say how a file is read; this cloud comes as columns";
             return Err(malformed(why));
         }
         if let Some(columns) = &columns {

@@ -13,17 +13,25 @@ const LONGEST: usize = 100;
 /// What a result's name has of its upload's: no folders, no ending, and nothing that some system keeps out of names.
 /// Nothing where that is all of it.
 pub(crate) fn stem(name: &str) -> Option<String> {
-    let mut name = name.rsplit(['/', '\\']).next()?;
-    for packed in [true, false] {
-        let known = |ending: &str| match packed {
-            true => ["gz", "zst"].contains(&ending.to_ascii_lowercase().as_str()),
-            false => Format::from_extension(Path::new(name)).is_some(),
-        };
-        name = name.rsplit_once('.').filter(|(_, ending)| known(ending)).map_or(name, |(stem, _)| stem);
-    }
+    let name = name.rsplit(['/', '\\']).next()?;
+    let packed = |ending: &str| ["gz", "zst"].contains(&ending.to_ascii_lowercase().as_str());
+    let name = name.rsplit_once('.').filter(|(_, ending)| packed(ending)).map_or(name, |(stem, _)| stem);
+    let name = without_ending(name);
     let plain: String = name.chars().filter(|c| is_plain(*c)).take(LONGEST).collect();
     let plain = plain.trim_matches([' ', '.']);
     (!plain.is_empty()).then(|| plain.to_owned())
+}
+
+/// A name without what tells a format: `.ply`, `.copc.laz`.
+fn without_ending(name: &str) -> &str {
+    let Some(format) = Format::from_extension(Path::new(name)) else { return name };
+    let stem = |ending: &str| {
+        let at = name.len().checked_sub(ending.len()).filter(|at| name.is_char_boundary(*at))?;
+        name[at..].eq_ignore_ascii_case(ending).then_some(&name[..at])
+    };
+    let whole = format.file_name("x");
+    let other = name.rsplit_once('.').map_or(name, |(stem, _)| stem);
+    whole.strip_prefix('x').and_then(stem).unwrap_or(other)
 }
 
 /// The name in a `filename*` parameter of a part's `Content-Disposition` (RFC 5987): browsers send none, but other
@@ -95,6 +103,8 @@ mod tests {
         for (name, expected) in [
             ("scan.ply", Some("scan")),
             ("Scan.LAZ", Some("Scan")),
+            ("Scan.COPC.laz", Some("Scan")),
+            ("copc.laz", Some("copc")),
             ("scan.v2.xyz", Some("scan.v2")),
             ("scan.txt.gz", Some("scan")),
             ("C:\\scans\\my scan.las", Some("my scan")),
