@@ -1,7 +1,7 @@
 //! A cloud that is read until it is known whether one tile holds it.
 
 use densecloud_cloud::{Attribute, Cloud, Values};
-use densecloud_formats::{Block, CloudReader, ColumnName, Ending, FormatError, Header};
+use densecloud_formats::{Block, CloudReader, ColumnName, FormatError, Header};
 
 use crate::chunk::ROWS;
 
@@ -36,24 +36,8 @@ impl<'r> Input<'r> {
                 return Ok(Self::Large(Box::new(Large { reader, header, first })));
             }
         }
-        Ok(Self::Small(Box::new(joined(first, reader.finish()?)), header))
+        Ok(Self::Small(Box::new(reader.finish()?.joined(first)), header))
     }
-}
-
-/// The cloud of all these blocks.
-fn joined(blocks: Vec<Block>, ending: Ending) -> Cloud {
-    let Ending { columns, dropped_properties, notes, origin } = ending;
-    let mut attributes = empty(&columns);
-    let mut positions = Vec::with_capacity(blocks.iter().map(|block| block.positions.len()).sum());
-    for mut block in blocks {
-        positions.append(&mut block.positions);
-        let values = kept(block.columns, &columns);
-        attributes
-            .iter_mut()
-            .zip(values)
-            .for_each(|(attribute, mut more)| attribute.values.append(&mut more));
-    }
-    Cloud { positions, attributes, dropped_properties, notes, origin }
 }
 
 /// The attributes that the columns of a file are, without values.

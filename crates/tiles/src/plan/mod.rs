@@ -5,6 +5,7 @@ mod places;
 mod route;
 mod sample;
 mod sizes;
+mod space;
 mod spill;
 
 use densecloud::survey::{Goal, SAMPLE, Survey};
@@ -15,7 +16,7 @@ use densecloud_formats::{Block, Format};
 use densecloud_geometry::Partition;
 
 use crate::chunk::KindName;
-use crate::folder::{free_space, write_whole};
+use crate::folder::write_whole;
 use crate::input::{Large, empty, kept};
 use crate::manifest::{Causes, Column, Manifest, Tile, nodes};
 
@@ -46,6 +47,7 @@ const BARE: u64 = 28;
 pub fn plan<'f>(input: Large<'_>, work: &Work<'_>, folder: &'f Folder) -> Result<Tiling<'f>, TilesError> {
     check_format(&input, work)?;
     folder.clear()?;
+    space::check_before(&input, work, folder)?;
     folder.prepare()?;
     work.watch.step(Step::Read);
     let spilled = Spilled::read(input, folder, work.watch)?;
@@ -57,7 +59,7 @@ pub fn plan<'f>(input: Large<'_>, work: &Work<'_>, folder: &'f Folder) -> Result
     }
     work.watch.step(Step::Cut);
     let ratio = likely_ratio(work, &spilled)?;
-    check_space(&spilled, &attributes, ratio, work, folder)?;
+    space::check_after(&spilled, &attributes, ratio, work, folder)?;
     let cells = spilled.finite.div_ceil(work.tile_points.max(1)) as usize;
     let each = spilled.finite / cells as u64;
     let grades = (1..=GRADES).rev().find(|grades| (each >> grades) >= FIRST).unwrap_or(0);
@@ -143,28 +145,6 @@ fn likely_ratio(work: &Work<'_>, spilled: &Spilled) -> Result<f64, TilesError> {
                 Err(why) => Err(densecloud::PrepareError::from(why).into()),
             }
         }
-    }
-}
-
-/// Asks whether the disk has room for the tiles and for what is made of them.
-fn check_space(
-    spilled: &Spilled,
-    attributes: &[Attribute],
-    ratio: f64,
-    work: &Work<'_>,
-    folder: &Folder,
-) -> Result<(), TilesError> {
-    let own = densecloud_cloud::bytes_a_point(attributes);
-    let made = 24 + work.options.finish.bytes_a_point(attributes);
-    let points = spilled.finite as f64;
-    // The input's points are removed as tiles come in their place, which have some more of them.
-    let more = (points * (BARE + own) as f64 * 1.5 - spilled.bytes as f64).max(0.0);
-    let needed = (more + points * ratio * made as f64) as u64;
-    match free_space(folder.path()) {
-        Some(free) if free < needed => {
-            Err(TilesError::NoSpace { folder: folder.path().to_owned(), free, needed })
-        }
-        _ => Ok(()),
     }
 }
 

@@ -9,10 +9,10 @@ fn every_format_that_is_written_in_parts_is_written() {
     let mut cloud = ground(900, 5);
     cloud.origin.crs = Some(Crs::Epsg { horizontal: 2992, vertical: None });
     let parent = tempfile::tempdir().expect("a folder");
-    for from in ["a.ply", "a.las", "a.laz", "a.xyz", "a.csv", "a.npy", "a.pcd", "a.e57"] {
+    for from in ["a.ply", "a.las", "a.laz", "a.xyz", "a.csv", "a.npy", "a.pcd", "a.e57", "a.copc.laz"] {
         let input = bytes(&cloud, from);
-        for to in ["b.ply", "b.las", "b.laz", "b.xyz", "b.csv", "b.npy", "b.pcd"] {
-            if from != "a.ply" && !["b.ply", "b.laz"].contains(&to) && from[1..] != to[1..] {
+        for to in ["b.ply", "b.las", "b.laz", "b.xyz", "b.csv", "b.npy", "b.pcd", "b.copc.laz"] {
+            if from != "a.ply" && !["b.ply", "b.laz", "b.copc.laz"].contains(&to) && from[1..] != to[1..] {
                 continue;
             }
             let bench = Bench::new(250, &[("ratio", "2")], to);

@@ -2,5 +2,6 @@
 
 mod formats;
 mod resume;
+mod space;
 mod support;
 mod whole;
