@@ -25,16 +25,16 @@ class Repeating(Program):
         return ""
 
 
-def test_scans_are_scored_in_each_way_and_small_ones_left_out(tmp_path, monkeypatch):
-    monkeypatch.setattr(tiled, "POINTS", 100)
-    for scan, count in ((SCANS[0], 500), (SCANS[1], 300)):
+def test_chosen_scans_are_scored_in_each_way(tmp_path, monkeypatch):
+    monkeypatch.setattr(tiled, "SCANNED", (tmp_path.joinpath(SCANS[0].file).stem,))
+    for scan in SCANS[:2]:
         (tmp_path / scan.file).write_bytes(b"")
         (tmp_path / "real").mkdir(exist_ok=True)
-        points = np.random.default_rng(1).random((count, 3))
+        points = np.random.default_rng(1).random((400, 3))
         np.save(tmp_path / "real" / f"{(tmp_path / scan.file).stem}.npy", points)
     (tmp_path / "tiles").mkdir()
     rows = tiled.scans(Repeating("none"), [tmp_path], tmp_path)
-    assert [row[1] for row in rows] == list(tiled.ways(100))
+    assert [row[:2] for row in rows] == [[tiled.SCANNED[0], way] for way in tiled.ways(100)]
     assert all(row[2:] == rows[0][2:] and len(row) == 2 + len(tiled.COLUMNS) for row in rows)
     shapes = [["whole", "1 / 2 / 3", "4", "5", "6", "7"]]
     text = tiled.text(shapes, rows)

@@ -223,12 +223,12 @@ impl Coarser {
     }
 }
 
-/// The logarithm of the area that each of a sample's points has, on scales two coarser than those of the whole that it is of,
-/// and the usual one.
+/// The logarithm of the area that each of a sample's points has, and the usual one: a random sample has the chance of its own
+/// number of points, however many those are that it was drawn from.
 pub(super) fn coarse_logarithms(sample: &[Point]) -> Result<(Vec<f32>, f32), CascadeError> {
     let scale = Scale::of(sample, &KdTree::new(sample))?;
     let mut usual = None;
-    let logarithms = scale.logarithms(&scale.areas(sample), FINER * FINER * CHANCE, &mut usual);
+    let logarithms = scale.logarithms(&scale.areas(sample), CHANCE, &mut usual);
     Ok((logarithms, usual.unwrap_or_default()))
 }
 
