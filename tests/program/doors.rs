@@ -232,6 +232,31 @@ fn every_door_gives_the_same_bytes() {
     assert!(made > refused, "{made} made, {refused} refused: too few results to compare");
 }
 
+/// In tiles, which the library alone has in a crate of its own: the parts flow in the first case, and are joined in the second.
+#[test]
+fn clouds_in_tiles_are_the_same_behind_every_door() {
+    let doors = Doors::open();
+    let scan = Scan { points: 2600, offset: 1983.0, double: false, spoilt: 30, attributes: true, seed: 1 };
+    let (body, input) = (scan.ply(), doors.folder.path().join("in.ply"));
+    std::fs::write(&input, &body).expect("a file");
+    let url = doors.serving.url("");
+    for more in [("keep_input", "true"), ("min_confidence", "0.2")] {
+        let options: Vec<_> = [("ratio", "2"), ("tile_points", "1000"), more]
+            .map(|(name, value)| (name, value.to_owned()))
+            .into();
+        let expected = doors.command(&input, &options, &[]).expect("a dense cloud");
+        assert!(String::from_utf8_lossy(&expected[..2000]).contains("tile_points=1000"));
+        for (door, bytes) in [
+            ("command line by a server", doors.command(&input, &options, &["--server", &url])),
+            ("HTTP", doors.http(&body, &options)),
+            ("job", doors.job(&body, &options)),
+            ("gRPC", doors.grpc(&body, &options)),
+        ] {
+            assert!(bytes.as_ref() == Some(&expected), "{door}: {more:?}");
+        }
+    }
+}
+
 /// A file whose every second point is not finite: the size of the result, and so its format, goes by those that are.
 #[test]
 fn points_that_are_not_finite_do_not_decide_the_format() {

@@ -19,3 +19,4 @@ mod misbehaviour;
 mod proxies;
 mod refusals;
 mod support;
+mod tiles;

@@ -12,9 +12,47 @@ pub struct Cost {
     pub points_in: u64,
     /// Points in the result.
     pub points_out: u64,
+    /// Points of the input that are worked on at a time, one part after another; all of them where there are no more.
+    pub part: u64,
 }
 
+/// What a part has beside its own points, those around it, as a share of these: a tile of the usual size is a quarter
+/// larger for them.
+const AROUND: f64 = 0.25;
+
 impl Cost {
+    /// Of a request that is worked on as a whole.
+    #[must_use]
+    pub fn new(points_in: u64, points_out: u64) -> Self {
+        Self { points_in, points_out, part: u64::MAX }
+    }
+
+    /// The same, worked on in parts of so many points of the input: memory is that of one part.
+    #[must_use]
+    pub fn in_parts(self, part: u64) -> Self {
+        Self { part, ..self }
+    }
+
+    /// As much of it as `part` is, and what is left.
+    pub(super) fn split(self, part: Self) -> (Self, Self) {
+        let (points_in, points_out) =
+            (part.points_in.min(self.points_in), part.points_out.min(self.points_out));
+        let rest =
+            Self { points_in: self.points_in - points_in, points_out: self.points_out - points_out, ..self };
+        (Self { points_in, points_out, ..part }, rest)
+    }
+
+    /// What is at work at a time: the whole, or one part with the points around it.
+    #[must_use]
+    pub fn at_once(self) -> Self {
+        if self.part >= self.points_in {
+            return Self { part: u64::MAX, ..self };
+        }
+        let share = (self.part as f64 * (1.0 + AROUND) / self.points_in as f64).min(1.0);
+        let of = |points: u64| (points as f64 * share).round() as u64;
+        Self::new(of(self.points_in), of(self.points_out))
+    }
+
     /// Levels of the cascade: the fewest doublings that reach the points out, and at least one.
     fn levels(self) -> u32 {
         let ratio = self.points_out.div_ceil(self.points_in.max(1));
@@ -30,15 +68,16 @@ impl Cost {
     #[must_use]
     pub fn times(self, effort: f64) -> Self {
         let times = |points: u64| if effort == 1.0 { points } else { (points as f64 * effort).ceil() as u64 };
-        Self { points_in: times(self.points_in), points_out: times(self.points_out) }
+        let Self { points_in, points_out, part } = self;
+        Self { points_in: times(points_in), points_out: times(points_out), part: times(part) }
     }
 
     /// Memory that the work takes at its height, in bytes, over a runner of this demand; the input and the result aside.
     /// An estimate from above for clouds of some thousand points and more.
     #[must_use]
     pub fn memory(self, demand: Demand) -> u64 {
-        let last = self.points_in.saturating_mul(1_u64 << self.levels().min(62)).max(self.points_out);
-        demand.bytes(last)
+        let Self { points_in, points_out, .. } = self.at_once();
+        demand.bytes(points_in.saturating_mul(1_u64 << self.levels().min(62)).max(points_out))
     }
 
     pub(super) fn lane(self) -> Lane {
@@ -108,7 +147,7 @@ mod tests {
     use super::*;
 
     fn cost(points_in: u64, points_out: u64) -> Cost {
-        Cost { points_in, points_out }
+        Cost::new(points_in, points_out)
     }
 
     #[test]
@@ -133,6 +172,21 @@ mod tests {
         assert_eq!(exact.times(1.0), exact);
         assert_eq!(cost(100, 400).times(1.5), cost(150, 600));
         assert_eq!(cost(u64::MAX, u64::MAX).times(50.0), cost(u64::MAX, u64::MAX));
+    }
+
+    #[test]
+    fn in_parts_memory_is_that_of_one_whatever_the_whole_is() {
+        let tiles = |points: u64| cost(points, 4 * points).in_parts(400_000).memory(Demand::default());
+        assert_eq!(tiles(400_000), cost(400_000, 1_600_000).memory(Demand::default()));
+        assert_eq!(tiles(100_000_000), cost(500_000, 2_000_000).memory(Demand::default()));
+        assert_eq!(tiles(u64::MAX / 8), tiles(100_000_000));
+        assert_eq!(
+            tiles(450_000),
+            cost(450_000, 1_800_000).memory(Demand::default()),
+            "no more than the whole"
+        );
+        let effort = cost(1_000_000, 4_000_000).in_parts(400_000).times(2.0);
+        assert_eq!(effort.at_once(), cost(1_000_000, 4_000_000));
     }
 
     #[test]

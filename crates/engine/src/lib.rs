@@ -32,7 +32,7 @@ pub use refusal::Refusal;
 use cost::Pace;
 use densecloud::Request;
 use densecloud_cascade::{Backend, BackendError, LevelRunner, Patchwise};
-use densecloud_cascade::{CascadeError, CascadeOptions, Silent, Target};
+use densecloud_cascade::{CascadeError, CascadeOptions, Observer, Silent, Target};
 use densecloud_cloud::Position;
 use queue::{Bounds, Queue};
 use turns::Turns;
@@ -85,6 +85,15 @@ impl EngineConfig {
 /// A setting, or its default where it is 0.
 fn or<T: Default + PartialEq>(value: T, default: T) -> T {
     if value == T::default() { default } else { value }
+}
+
+/// What one part of a larger work takes while it is at work.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Part {
+    /// As of a request of so many points, those around the part included.
+    pub cost: Cost,
+    /// Whether it is the work of such a request, and what it takes tells of what others will.
+    pub is_typical: bool,
 }
 
 /// Why an engine does not start.
@@ -241,7 +250,7 @@ impl Engine {
             .collect();
         let (target, options) = (Target::Ratio(ratio), CascadeOptions::default());
         let Inner { workers, clock, .. } = &*self.inner;
-        let cost = Cost { points_in: points as u64, points_out: target.points_out(points as u64)? };
+        let cost = Cost::new(points as u64, target.points_out(points as u64)?);
         let start = clock.now();
         workers.install(cost.lane(), || {
             densecloud_cascade::upsample(&positions, target, &options, workers.runner(), &Silent)
@@ -297,7 +306,7 @@ impl Engine {
     ) -> Result<Pending, EngineError> {
         let finite =
             request.cloud.positions.iter().filter(|p| p.iter().all(|c| c.is_finite())).count() as u64;
-        let cost = Cost { points_in: finite, points_out: request.target.points_out(finite)? };
+        let cost = Cost::new(finite, request.target.points_out(finite)?);
         let cost = cost.times(request.effort());
         let permit = match reserved {
             Some(mut permit) => {
@@ -306,7 +315,30 @@ impl Engine {
             }
             None => self.reserve(caller, cost)?,
         };
-        Ok(Pending::queue(&self.inner, request, caller, permit))
+        let cost = permit.cost();
+        let work = move |runner: &dyn LevelRunner, observer: &dyn Observer| request.run(runner, observer);
+        Ok(Pending::queue(&self.inner, caller, permit, (cost, true), work))
+    }
+
+    /// Changes what is reserved, now that more is known: to less always, to more where there is room.
+    ///
+    /// # Errors
+    /// As [`Engine::reserve`]; it is as before then.
+    pub fn resize(&self, caller: &Caller, permit: &mut Permit, cost: Cost) -> Result<(), Refusal> {
+        permit.resize(caller, cost)
+    }
+
+    /// Queues one part of a larger work, with the points that were reserved for [that part](Permit::part). Parts of one
+    /// work take turns with others' requests as if each came alone.
+    pub fn submit_part<T: Send + 'static>(
+        &self,
+        caller: &Caller,
+        permit: Permit,
+        part: Part,
+        work: impl FnOnce(&dyn LevelRunner, &dyn Observer) -> Result<T, CascadeError> + Send + 'static,
+    ) -> Pending<T> {
+        let Part { cost, is_typical } = part;
+        Pending::queue(&self.inner, caller, permit, (cost, is_typical), work)
     }
 
     /// Points out of all requests that are reserved, queued or running.
@@ -348,7 +380,7 @@ impl Engine {
     /// Points out a second, of a large cloud at a ratio of four; none before the first measurement.
     #[must_use]
     pub fn rate(&self) -> Option<f64> {
-        let cost = Cost { points_in: Lane::EXPRESS, points_out: 4 * Lane::EXPRESS };
+        let cost = Cost::new(Lane::EXPRESS, 4 * Lane::EXPRESS);
         Some(cost.points_out as f64 / self.estimate(cost)?.as_secs_f64())
     }
 

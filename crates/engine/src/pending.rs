@@ -16,24 +16,24 @@ use super::progress::{Progress, StageTimes, Watch};
 use super::queue::{Permit, Queue, Turn};
 use super::workers::{Lane, Workers};
 use super::{EngineError, Inner};
-use densecloud::{Made, Request};
-use densecloud_cascade::CascadeError;
+use densecloud::Made;
+use densecloud_cascade::{CascadeError, LevelRunner, Observer};
 
-/// A request that was admitted. Await it, or [`Pending::wait`] for it; drop it to stop the work within
+/// Work that was admitted: a request, or any other. Await it, or [`Pending::wait`] for it; drop it to stop the work within
 /// one batch of patches.
 #[must_use = "dropping it cancels the request"]
-pub struct Pending {
+pub struct Pending<T = Made> {
     queue: Arc<Queue>,
     task: Arc<Task>,
     // Tokio's channel because it can be awaited and waited for; it needs no runtime.
-    result: oneshot::Receiver<Result<Outcome, EngineError>>,
+    result: oneshot::Receiver<Result<Outcome<T>, EngineError>>,
 }
 
-/// A finished request.
+/// Finished work.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Outcome {
-    /// The dense cloud, and what was done to the input.
-    pub made: Made,
+pub struct Outcome<T = Made> {
+    /// What came of it: of a request the dense cloud, and what was done to the input.
+    pub made: T,
     /// How long each stage took, over all levels.
     pub stages: StageTimes,
     /// How long the engine expected it to take alone on the machine, when it was admitted.
@@ -60,11 +60,26 @@ pub(super) struct Task {
 }
 
 struct Work {
-    request: Request,
+    job: Box<dyn Job>,
     // Lives here, not with the caller: a caller who leaves must not free points that are still
     // being computed.
     permit: Permit,
-    result: oneshot::Sender<Result<Outcome, EngineError>>,
+}
+
+/// Work of some kind, with whoever waits for it.
+trait Job: Send {
+    /// Does it, and gives turn and permit back before its result.
+    fn run(self: Box<Self>, workers: &Workers, task: &Task, permit: Permit, turn: Turn<'_>);
+
+    /// Will never do it.
+    fn fail(self: Box<Self>, error: EngineError);
+}
+
+struct Waited<T, F> {
+    work: F,
+    /// Whether what it takes tells of what others will.
+    is_typical: bool,
+    result: oneshot::Sender<Result<Outcome<T>, EngineError>>,
 }
 
 impl Task {
@@ -93,28 +108,37 @@ impl Task {
     }
 }
 
-impl Pending {
-    pub(super) fn queue(engine: &Inner, request: Request, caller: &Caller, permit: Permit) -> Self {
+impl<T: Send + 'static> Pending<T> {
+    /// Queues work that takes `cost` while it runs, and gives back `permit` when it is over.
+    pub(super) fn queue(
+        engine: &Inner,
+        caller: &Caller,
+        permit: Permit,
+        (cost, is_typical): (Cost, bool),
+        work: impl FnOnce(&dyn LevelRunner, &dyn Observer) -> Result<T, CascadeError> + Send + 'static,
+    ) -> Self {
         let Inner { queue, clock, .. } = engine;
         let (sender, result) = oneshot::channel();
-        let (cost, estimate, number) = (permit.cost(), permit.estimate(), permit.number());
-        let work = Work { request, permit, result: sender };
+        let number = permit.number();
+        let job = Waited { work, is_typical, result: sender };
         let task = Arc::new(Task {
             client: caller.client.clone(),
             cost,
             memory: queue.memory_of(cost),
-            estimate,
+            estimate: queue.time_of(cost),
             clock: Arc::clone(clock),
             watch: Watch::new(Arc::clone(clock), caller.deadline),
             deadline: caller.deadline,
             submitted: clock.now(),
             started: OnceLock::new(),
-            work: Mutex::new(Some(work)),
+            work: Mutex::new(Some(Work { job: Box::new(job), permit })),
         });
         queue.push(Arc::clone(&task), number);
         Self { queue: Arc::clone(queue), task, result }
     }
+}
 
+impl<T> Pending<T> {
     /// How far it is.
     #[must_use]
     pub fn progress(&self) -> Progress {
@@ -131,7 +155,7 @@ impl Pending {
     ///
     /// # Errors
     /// As awaiting it.
-    pub fn wait(mut self) -> Result<Outcome, EngineError> {
+    pub fn wait(mut self) -> Result<Outcome<T>, EngineError> {
         let result = std::mem::replace(&mut self.result, oneshot::channel().1);
         result.blocking_recv().unwrap_or(Err(EngineError::Cancelled))
     }
@@ -161,8 +185,8 @@ impl ProgressHandle {
     }
 }
 
-impl Future for Pending {
-    type Output = Result<Outcome, EngineError>;
+impl<T> Future for Pending<T> {
+    type Output = Result<Outcome<T>, EngineError>;
 
     fn poll(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Self::Output> {
         // A sender that is gone without a word was cancelled with its task.
@@ -170,7 +194,7 @@ impl Future for Pending {
     }
 }
 
-impl Drop for Pending {
+impl<T> Drop for Pending<T> {
     fn drop(&mut self) {
         self.task.watch.cancel();
         self.queue.remove(&self.task);
@@ -180,39 +204,50 @@ impl Drop for Pending {
 /// A queue thread's life: one task after another until the queue closes.
 pub(super) fn work(queue: &Queue, workers: &Workers, lane: Option<Lane>) {
     while let Some((task, turn)) = queue.next(lane) {
-        let Some(work) = task.take() else { continue };
+        let Some(Work { job, permit }) = task.take() else { continue };
         if task.is_late() {
-            let Work { permit, result, .. } = work;
             drop((turn, permit));
-            let _ = result.send(Err(task.late()));
+            job.fail(task.late());
             continue;
         }
-        run(queue, workers, &task, work, turn);
+        job.run(workers, &task, permit, turn);
     }
 }
 
-fn run(queue: &Queue, workers: &Workers, task: &Task, work: Work, turn: Turn<'_>) {
-    let Work { request, permit, result } = work;
-    // Only this thread sets it, once.
-    let _ = task.started.set(task.clock.now());
-    // A panic is a bug in one request; it must not take the thread, and the service, with it.
-    let done = std::panic::catch_unwind(AssertUnwindSafe(|| {
-        workers.install(task.cost.lane(), || request.run(workers.runner(), &task.watch))
-    }));
-    let outcome = match done {
-        Ok(Ok(made)) => {
-            let took = turn.took();
-            queue.learn(task.cost, took);
-            Ok(Outcome { made, stages: task.watch.finish(), estimate: permit.estimate(), took })
-        }
-        Ok(Err(CascadeError::Cancelled)) if task.is_late() => Err(task.late()),
-        Ok(Err(error)) => Err(EngineError::from(error)),
-        Err(panic) => Err(EngineError::Internal(message(&*panic))),
-    };
-    // Before the answer, so that a caller who has it finds its points free.
-    drop((turn, permit));
-    // A caller who left needs no answer.
-    let _ = result.send(outcome);
+impl<T, F> Job for Waited<T, F>
+where
+    T: Send,
+    F: FnOnce(&dyn LevelRunner, &dyn Observer) -> Result<T, CascadeError> + Send,
+{
+    fn run(self: Box<Self>, workers: &Workers, task: &Task, permit: Permit, turn: Turn<'_>) {
+        let Self { work, is_typical, result } = *self;
+        // Only this thread sets it, once.
+        let _ = task.started.set(task.clock.now());
+        // A panic is a bug in one request; it must not take the thread, and the service, with it.
+        let done = std::panic::catch_unwind(AssertUnwindSafe(|| {
+            workers.install(task.cost.lane(), || work(workers.runner(), &task.watch))
+        }));
+        let outcome = match done {
+            Ok(Ok(made)) => {
+                let took = turn.took();
+                if is_typical {
+                    turn.learn(task.cost, took);
+                }
+                Ok(Outcome { made, stages: task.watch.finish(), estimate: task.estimate, took })
+            }
+            Ok(Err(CascadeError::Cancelled)) if task.is_late() => Err(task.late()),
+            Ok(Err(error)) => Err(EngineError::from(error)),
+            Err(panic) => Err(EngineError::Internal(message(&*panic))),
+        };
+        // Before the answer, so that a caller who has it finds its points free.
+        drop((turn, permit));
+        // A caller who left needs no answer.
+        let _ = result.send(outcome);
+    }
+
+    fn fail(self: Box<Self>, error: EngineError) {
+        let _ = self.result.send(Err(error));
+    }
 }
 
 fn message(panic: &(dyn std::any::Any + Send)) -> String {

@@ -109,8 +109,24 @@ impl Permit {
     }
 
     /// How long the work will take, alone on the machine.
-    pub(super) fn estimate(&self) -> Duration {
+    fn estimate(&self) -> Duration {
         Duration::from_micros(self.time)
+    }
+
+    /// Takes a part of it away, for work that is done one part after another: both together are what it was, and this is
+    /// what is left of it. It waits no more for its work to begin.
+    pub fn part(&mut self, cost: Cost) -> Self {
+        let queue = Arc::clone(&self.queue);
+        let mut state = queue.lock();
+        state.coming.remove(self.number);
+        state.give_back(&self.client, self.cost, self.time);
+        let (cost, rest) = self.cost.split(cost);
+        (self.cost, self.time) = (rest, state.time(rest));
+        state.take(&self.client, self.cost, self.time);
+        let time = state.time(cost);
+        state.take(&self.client, cost, time);
+        let (number, client) = (state.number(), self.client.clone());
+        Self { queue: Arc::clone(&queue), client, cost, time, number }
     }
 
     /// Tells that all of the request is there, but for being read: from now on it counts as waiting, however long that
@@ -169,6 +185,11 @@ pub(super) struct Turn<'a> {
 }
 
 impl Turn<'_> {
+    /// Learns from what work of this cost took, as if alone.
+    pub(super) fn learn(&self, cost: Cost, took: Duration) {
+        self.queue.lock().pace.learn(cost, took);
+    }
+
     /// How long it has been at work, as if alone on the machine.
     pub(super) fn took(&self) -> Duration {
         let mut state = self.queue.lock();
@@ -369,6 +390,11 @@ impl Queue {
         cost.memory(self.demand)
     }
 
+    /// How long it will take, alone on the machine.
+    pub(super) fn time_of(&self, cost: Cost) -> Duration {
+        Duration::from_micros(self.lock().time(cost))
+    }
+
     /// Checks that one request alone is within the bound of memory.
     pub(super) fn check_memory(&self, cost: Cost) -> Result<(), Refusal> {
         let (bytes, limit) = (self.memory_of(cost), self.bounds.memory);
@@ -511,11 +537,6 @@ impl Queue {
     /// Sets the model of what requests take.
     pub(super) fn calibrate(&self, pace: Pace) {
         self.lock().pace = pace;
-    }
-
-    /// Learns from a request that `took` so long, as if alone.
-    pub(super) fn learn(&self, cost: Cost, took: Duration) {
-        self.lock().pace.learn(cost, took);
     }
 
     /// How long a request takes alone; nothing before the first measurement.

@@ -32,7 +32,7 @@ pub use blobs::{BlobReader, BlobWriter, Blobs};
 pub use clock::{Clock, SystemClock};
 pub use error::{StoreError, Trouble};
 pub use folder::Folder;
-pub use record::{Draft, Failure, NewJob, Record, ResultFile, State, Time};
+pub use record::{CloudFile, Draft, Failure, NewJob, Record, ResultFile, State, Time};
 pub use records::{Admitted, Bounds, Forgotten, Lapsed, Lease, Load, Records, Submitted};
 pub use settings::Settings;
 pub use sqlite::Sqlite;

@@ -1,5 +1,9 @@
 //! What is known of one job.
 
+use std::fmt;
+use std::io::{self, Write};
+use std::sync::Arc;
+
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
@@ -52,8 +56,36 @@ impl State {
     }
 }
 
+/// A cloud's file on its way to the store, in memory or elsewhere.
+pub trait CloudFile: Send + Sync {
+    /// Its bytes.
+    fn length(&self) -> u64;
+
+    /// Writes all of it.
+    ///
+    /// # Errors
+    /// The sink fails, or the file cannot be read.
+    fn copy_to(&self, sink: &mut dyn Write) -> io::Result<()>;
+}
+
+impl CloudFile for Vec<u8> {
+    fn length(&self) -> u64 {
+        self.len() as u64
+    }
+
+    fn copy_to(&self, sink: &mut dyn Write) -> io::Result<()> {
+        sink.write_all(self)
+    }
+}
+
+impl fmt::Debug for dyn CloudFile {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} bytes", self.length())
+    }
+}
+
 /// What somebody wants done.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone)]
 pub struct NewJob {
     /// What is asked for beside the cloud, as text that [`Work`](crate::Work) understands.
     pub request: String,
@@ -72,11 +104,11 @@ pub struct NewJob {
     /// Bytes that the result will take on the disk, about.
     pub result_bytes: u64,
     /// The cloud's file.
-    pub input: Vec<u8>,
+    pub input: Arc<dyn CloudFile>,
 }
 
 /// A new job, with what is computed from it before it is kept.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone)]
 pub struct Draft {
     pub(crate) job: NewJob,
     /// The same for the same request with the same cloud.
@@ -85,30 +117,47 @@ pub struct Draft {
     pub(crate) row_bytes: u64,
 }
 
+/// Hashes what is written.
+struct Hashing(Sha256);
+
+impl Write for Hashing {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.0.update(bytes);
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
 impl Draft {
     /// O(bytes of the cloud).
-    #[must_use]
-    pub fn new(job: NewJob) -> Self {
+    ///
+    /// # Errors
+    /// The cloud's file cannot be read.
+    pub fn new(job: NewJob) -> io::Result<Self> {
         let mut hash = Sha256::new();
         hash.update((job.request.len() as u64).to_le_bytes());
         hash.update(&job.request);
-        hash.update(&job.input);
-        let fingerprint = hex::encode(hash.finalize());
+        let mut hash = Hashing(hash);
+        job.input.copy_to(&mut hash)?;
+        let fingerprint = hex::encode(hash.0.finalize());
         let NewJob { request, owner, client, request_id, .. } = &job;
         let key = job.key.as_ref().map_or(0, String::len);
         let texts = request.len() + owner.len() + client.len() + request_id.len() + key;
-        Self { fingerprint, row_bytes: ROW + texts as u64, job }
+        Ok(Self { fingerprint, row_bytes: ROW + texts as u64, job })
     }
 
     /// Its cloud's file.
     #[must_use]
-    pub fn input(&self) -> &[u8] {
-        &self.job.input
+    pub fn input(&self) -> &dyn CloudFile {
+        &*self.job.input
     }
 
     /// Bytes that the job takes until it is over: its cloud, its result and its record.
     pub(crate) fn bytes(&self) -> u64 {
-        let files = (self.job.input.len() as u64).saturating_add(self.job.result_bytes);
+        let files = self.job.input.length().saturating_add(self.job.result_bytes);
         files.saturating_add(self.row_bytes)
     }
 }

@@ -89,7 +89,7 @@ impl Store {
     /// What the storage says; nothing is left then.
     pub fn write_input(&self, id: &str, draft: &Draft) -> io::Result<Input> {
         let mut sink = self.blobs.create(&input_name(id))?;
-        sink.write_all(draft.input())?;
+        draft.input().copy_to(&mut sink)?;
         sink.finish()?;
         Ok(Input { id: id.to_owned(), blobs: Arc::clone(&self.blobs), kept: false })
     }

@@ -62,7 +62,12 @@ pub struct Task(Mutex<TaskState>);
 struct TaskState {
     cancelled: bool,
     handle: Option<ProgressHandle>,
+    /// What the progress of a part is for the whole.
+    whole: Option<Box<Whole>>,
 }
+
+/// What the progress of a part is for the whole.
+type Whole = dyn Fn(Progress) -> Progress + Send;
 
 impl Task {
     fn lock(&self) -> MutexGuard<'_, TaskState> {
@@ -78,7 +83,10 @@ impl Task {
     ///
     /// # Errors
     /// The engine's.
-    pub fn wait(&self, job: densecloud_engine::Pending) -> Result<Outcome, EngineError> {
+    pub fn wait<T: Send + 'static>(
+        &self,
+        job: densecloud_engine::Pending<T>,
+    ) -> Result<Outcome<T>, EngineError> {
         {
             let mut state = self.lock();
             let handle = job.progress_handle();
@@ -88,6 +96,14 @@ impl Task {
             state.handle = Some(handle);
         }
         job.wait()
+    }
+
+    /// From now on, what it waits for is a part of its work, whose progress is this for the whole.
+    pub fn part(&self, whole: impl Fn(Progress) -> Progress + Send + 'static) {
+        let mut state = self.lock();
+        // The last part's is over.
+        state.handle = None;
+        state.whole = Some(Box::new(whole));
     }
 
     pub(crate) fn cancel(&self) {
@@ -100,7 +116,9 @@ impl Task {
 
     /// How far it is; none while it is read or waits for the engine. Waits for nothing but a moment.
     pub fn progress(&self) -> Option<Progress> {
-        self.lock().handle.as_ref().map(ProgressHandle::progress)
+        let state = self.lock();
+        let whole = |progress| state.whole.as_ref().map_or(progress, |whole| whole(progress));
+        state.handle.as_ref().map(ProgressHandle::progress).map(whole)
     }
 }
 

@@ -36,6 +36,8 @@ pub(super) struct App {
     pub(super) statistics: Statistics,
     pub(super) readiness: Readiness,
     pub(super) budget: Budget,
+    /// The same of the folder for temporary files.
+    pub(super) disk: Budget,
     /// None where the server has no folder for them.
     pub(super) jobs: Option<Arc<Jobs>>,
     // A semaphore: a question that nobody waits for any more keeps its turn until it is answered.
@@ -56,6 +58,7 @@ impl App {
             statistics: Statistics::default(),
             readiness: Readiness::new(),
             budget: Budget::new(config.limits.held_bytes),
+            disk: Budget::new(config.limits.temp_bytes),
             asking: Arc::new(Semaphore::new(jobs::ASKING)),
             parsing: Arc::new(Parsing::new()),
             writing: Arc::new(Semaphore::new(jobs::WRITING)),
@@ -82,6 +85,10 @@ impl App {
 
     pub(super) fn held_full(&self) -> Problem {
         Problem::HeldFull { used: self.budget.used(), limit: self.config.limits.held_bytes }
+    }
+
+    pub(super) fn disk_full(&self) -> Problem {
+        Problem::TempFull { used: self.disk.used(), limit: self.config.limits.temp_bytes }
     }
 }
 

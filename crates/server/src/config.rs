@@ -1,16 +1,20 @@
 //! What the server may be asked to bear, checked before a port is bound.
 
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use crate::admission::client::Access;
+use crate::connection::content::IN_MEMORY;
 use crate::connection::cors::CorsOrigin;
 use crate::connection::prefix::BasePath;
 use crate::http::download::result_bytes;
 use densecloud_backends::ModelName;
+use densecloud_cascade::MAX_RATIO;
 use densecloud_formats::Format;
 use densecloud_jobs::Settings;
+use densecloud_tiles::TILE_POINTS;
 
 /// Connections of one address where nothing is said of them: browsers open several, each for many requests.
 const LEAST_CONNECTIONS: usize = 32;
@@ -24,6 +28,9 @@ pub struct Config {
     pub timeouts: Timeouts,
     /// Who may ask.
     pub access: Access,
+    /// Where long uploads and the tiles of large clouds lie while they are worked on (`--temp-dir`); the system's folder for
+    /// temporary files where nobody says.
+    pub temp: Option<PathBuf>,
     /// Whether and how jobs are kept; none without a folder (`--data-dir`).
     pub jobs: Option<Settings>,
     /// The sites whose pages may use the server from a browser (`--cors-origin`); none by default.
@@ -68,8 +75,10 @@ pub struct Limits {
     pub points_in: u64,
     /// Points in one result (`--max-points-out`).
     pub points_out: u64,
-    /// Bytes of all uploads not yet parsed and all results not yet sent (`--max-held-bytes`).
+    /// Bytes of memory of all uploads not yet parsed and all results not yet sent (`--max-held-bytes`).
     pub held_bytes: u64,
+    /// Bytes of the disk that long uploads and the tiles of large clouds may take (`--max-temp-bytes`).
+    pub temp_bytes: u64,
     /// Connections open at a time (`--max-connections`); more wait in the system's backlog.
     pub connections: usize,
     /// Those of one address (`--client-connections`); more are closed. 0 is a quarter of all, and 32 at least.
@@ -134,6 +143,11 @@ pub enum ConfigError {
 }
 
 impl Config {
+    /// Where temporary files lie.
+    pub(crate) fn temp_dir(&self) -> PathBuf {
+        self.temp.clone().unwrap_or_else(std::env::temp_dir)
+    }
+
     /// Connections that one address may have open. Behind a proxy all have its address.
     pub(super) fn client_connections(&self) -> usize {
         match self.limits.client_connections {
@@ -148,13 +162,21 @@ impl Config {
     /// # Errors
     /// See [`ConfigError`].
     pub fn validate(&self) -> Result<(), ConfigError> {
-        let Limits { body_bytes, points_in, points_out, held_bytes, connections, client_connections: _ } =
-            self.limits;
+        let Limits {
+            body_bytes,
+            points_in,
+            points_out,
+            held_bytes,
+            temp_bytes,
+            connections,
+            client_connections: _,
+        } = self.limits;
         let Timeouts { head, keep_alive, stall, request, lead: _, drain: _ } = self.timeouts;
         for (setting, zero) in [
             ("--max-body-bytes", body_bytes == 0),
             ("--max-points-in", points_in == 0),
             ("--max-points-out", points_out == 0),
+            ("--max-temp-bytes", temp_bytes == 0),
             ("--max-connections", connections == 0),
             ("--head-timeout", head.is_zero()),
             ("--keep-alive-timeout", keep_alive.is_zero()),
@@ -172,9 +194,11 @@ impl Config {
         if self.cors.len() > 1 && self.cors.contains(&CorsOrigin::Any) {
             return Err(ConfigError::EveryOriginAndMore);
         }
+        // More of a body lies on the disk, and a larger result is sent tile by tile.
+        let (in_memory, whole) = (IN_MEMORY as u64, u64::from(MAX_RATIO) * TILE_POINTS);
         for (setting, bytes) in [
-            ("--max-body-bytes", body_bytes),
-            ("--max-points-out", result_bytes(points_out, 0, Format::TEXT)),
+            ("--max-body-bytes", body_bytes.min(in_memory)),
+            ("--max-points-out", result_bytes(points_out.min(whole), 0, Format::TEXT)),
         ] {
             if bytes > held_bytes {
                 return Err(ConfigError::HeldTooSmall { setting, bytes, held: held_bytes });
@@ -187,10 +211,11 @@ impl Config {
 impl Default for Limits {
     fn default() -> Self {
         Self {
-            body_bytes: 256 << 20,
-            points_in: 1_000_000,
-            points_out: 4_000_000,
+            body_bytes: 1 << 30,
+            points_in: 10_000_000,
+            points_out: 40_000_000,
             held_bytes: 2 << 30,
+            temp_bytes: 32 << 30,
             connections: 1024,
             client_connections: 0,
         }
@@ -233,11 +258,17 @@ mod tests {
     #[test]
     fn one_request_at_its_limits_must_fit_into_what_all_may_hold() {
         let mut config = Config::default();
-        config.limits.held_bytes = config.limits.body_bytes - 1;
+        config.limits.held_bytes = IN_MEMORY as u64 - 1;
         let error = config.validate().expect_err("too small");
         assert!(error.to_string().contains("--max-held-bytes"), "{error}");
         config = Config::default();
-        config.limits.points_out = u64::MAX;
+        config.limits.held_bytes = 64 << 20;
         assert!(matches!(config.validate(), Err(ConfigError::HeldTooSmall { .. })));
+        config.limits.points_out = 2_000_000;
+        assert_eq!(config.validate(), Ok(()));
+        // What is larger is neither held as a whole.
+        let limits = &mut config.limits;
+        (limits.body_bytes, limits.points_out, limits.held_bytes) = (u64::MAX, u64::MAX, 2 << 30);
+        assert_eq!(config.validate(), Ok(()));
     }
 }

@@ -9,6 +9,7 @@
 //! | `inference` | the same work as tensors in JSON or binary: the Open Inference Protocol |
 //! | `grpc` | the same work in messages, on the same port; health and reflection |
 //! | `jobs` | jobs: taking, telling, sending, watching, running |
+//! | `tiled` | clouds of more points than a tile: their steps, and what is sent while these go on |
 //! | `problem` | every failure, its status and its words: the one table |
 //! | `app`, `route`, `config`, `metrics` | what handlers share; the table of paths; settings; numbers for operators |
 //! | `manager` | what a service manager is told |
@@ -32,6 +33,7 @@ pub mod proto;
 mod route;
 #[cfg(test)]
 mod testing;
+mod tiled;
 
 use std::sync::Arc;
 use std::time::Duration;

@@ -2,6 +2,8 @@
 
 use std::fs::{self, File, TryLockError};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use crate::TilesError;
 
@@ -14,17 +16,20 @@ const KEPT: &str = "densecloud-resume-";
 /// The file that a program holds locked for as long as it works in a folder.
 const LOCK: &str = "lock";
 
-/// A folder for the tiles of a cloud.
+/// A folder for the tiles of a cloud. Clones are the same folder.
+#[derive(Debug, Clone)]
+pub struct Folder(Arc<Place>);
+
 #[derive(Debug)]
-pub struct Folder {
+struct Place {
     path: PathBuf,
     /// Held for as long as this lives; none where several programs may work at once.
     _lock: Option<File>,
-    is_temporary: bool,
+    is_temporary: AtomicBool,
 }
 
 impl Folder {
-    /// A new one inside of `parent`, which is removed when this goes out of scope. Those that programs left behind that were
+    /// A new one inside of `parent`, which is removed when this, and its last clone, goes out of scope. Those that programs left behind that were
     /// killed are removed now.
     ///
     /// # Errors
@@ -42,7 +47,7 @@ impl Folder {
             if path.exists() {
                 continue;
             }
-            match fs::create_dir(&before) {
+            match create_private(&before) {
                 Ok(()) => {}
                 Err(why) if why.kind() == std::io::ErrorKind::AlreadyExists => continue,
                 Err(why) => return Err(TilesError::File { path: before, why }),
@@ -54,7 +59,7 @@ impl Folder {
                 lock => lock?,
             };
             fs::rename(&before, &path).map_err(TilesError::file(&path))?;
-            return Ok(Self { path, _lock: Some(lock), is_temporary: true });
+            return Ok(Self::held(path, Some(lock), true));
         }
     }
 
@@ -64,9 +69,15 @@ impl Folder {
     /// [`TilesError::Busy`], [`TilesError::File`].
     pub fn kept(parent: &Path, name: &str) -> Result<Self, TilesError> {
         let path = parent.join(format!("{KEPT}{:08x}", crc32fast::hash(name.as_bytes())));
-        fs::create_dir_all(&path).map_err(TilesError::file(&path))?;
+        fs::create_dir_all(parent).map_err(TilesError::file(parent))?;
+        match create_private(&path) {
+            Err(why) if why.kind() != std::io::ErrorKind::AlreadyExists => {
+                return Err(TilesError::File { path, why });
+            }
+            _ => {}
+        }
         let lock = locked(&path)?;
-        Ok(Self { path, _lock: Some(lock), is_temporary: false })
+        Ok(Self::held(path, Some(lock), false))
     }
 
     /// A new one at that very place, to plan tiles in; whatever works on them may do so at once.
@@ -85,13 +96,22 @@ impl Folder {
     /// That in which tiles are planned already.
     #[must_use]
     pub fn at(path: &Path) -> Self {
-        Self { path: path.to_owned(), _lock: None, is_temporary: false }
+        Self::held(path.to_owned(), None, false)
+    }
+
+    fn held(path: PathBuf, lock: Option<File>, is_temporary: bool) -> Self {
+        Self(Arc::new(Place { path, _lock: lock, is_temporary: is_temporary.into() }))
     }
 
     /// Where it is.
     #[must_use]
     pub fn path(&self) -> &Path {
-        &self.path
+        &self.0.path
+    }
+
+    /// Whether it goes with its last clone.
+    pub(crate) fn is_temporary(&self) -> bool {
+        self.0.is_temporary.load(Ordering::Relaxed)
     }
 
     /// Whether tiles are planned in it.
@@ -100,100 +120,113 @@ impl Folder {
         self.manifest().exists()
     }
 
-    /// Removes it.
+    /// Removes it, whoever has a clone.
     ///
     /// # Errors
     /// [`TilesError::File`].
-    pub fn remove(mut self) -> Result<(), TilesError> {
-        self.is_temporary = false;
+    pub fn remove(self) -> Result<(), TilesError> {
+        // Its name may be another's by the time that the last clone goes.
+        self.0.is_temporary.store(false, Ordering::Relaxed);
         // First, so that nobody goes on with what is half removed.
         match fs::remove_file(self.manifest()) {
             Err(why) if why.kind() != std::io::ErrorKind::NotFound => {
                 Err(TilesError::File { path: self.manifest(), why })
             }
-            _ => self.discard(),
+            _ => discard(self.path()),
         }
-    }
-
-    /// Removes all of it, the lock last: what is left after a kill is still seen to be a leftover.
-    fn discard(&self) -> Result<(), TilesError> {
-        self.clear()?;
-        fs::remove_dir_all(&self.path).map_err(TilesError::file(&self.path))
     }
 
     /// Removes all that lies in it, but for the lock.
     pub(crate) fn clear(&self) -> Result<(), TilesError> {
-        for entry in fs::read_dir(&self.path).map_err(TilesError::file(&self.path))? {
-            let path = entry.map_err(TilesError::file(&self.path))?.path();
-            let removed = match path.is_dir() {
-                true => fs::remove_dir_all(&path),
-                false if path.file_name() == Some(LOCK.as_ref()) => Ok(()),
-                false => fs::remove_file(&path),
-            };
-            removed.map_err(TilesError::file(&path))?;
-        }
-        Ok(())
+        clear(self.path())
     }
 
     pub(crate) fn manifest(&self) -> PathBuf {
-        self.path.join("manifest.json")
+        self.path().join("manifest.json")
     }
 
     pub(crate) fn origin(&self) -> PathBuf {
-        self.path.join("origin.json")
+        self.path().join("origin.json")
     }
 
     /// A small file of the input's format, for what only that knows.
     pub(crate) fn example(&self) -> PathBuf {
-        self.path.join("example")
+        self.path().join("example")
     }
 
     pub(crate) fn whole(&self) -> PathBuf {
-        self.path.join("whole")
+        self.path().join("whole")
     }
 
     /// The input's points, file after file.
     pub(crate) fn spill(&self, number: u32) -> PathBuf {
-        self.path.join("spill").join(number.to_string())
+        self.path().join("spill").join(number.to_string())
     }
 
     /// A tile's own points.
     pub(crate) fn own(&self, tile: u32) -> PathBuf {
-        self.path.join("own").join(tile.to_string())
+        self.path().join("own").join(tile.to_string())
     }
 
     /// The points around them.
     pub(crate) fn around(&self, tile: u32) -> PathBuf {
-        self.path.join("around").join(tile.to_string())
+        self.path().join("around").join(tile.to_string())
     }
 
     /// What was made of a tile.
     pub(crate) fn part(&self, tile: u32) -> PathBuf {
-        self.path.join("parts").join(format!("{tile}.part"))
+        self.path().join("parts").join(format!("{tile}.part"))
     }
 
     /// That it is done.
     pub(crate) fn done(&self, tile: u32) -> PathBuf {
-        self.path.join("parts").join(format!("{tile}.json"))
+        self.path().join("parts").join(format!("{tile}.json"))
     }
 
     /// Makes the folders inside.
     pub(crate) fn prepare(&self) -> Result<(), TilesError> {
         for name in ["spill", "own", "around", "parts"] {
-            let path = self.path.join(name);
+            let path = self.path().join(name);
             fs::create_dir_all(&path).map_err(TilesError::file(&path))?;
         }
         Ok(())
     }
 }
 
-impl Drop for Folder {
+impl Drop for Place {
     fn drop(&mut self) {
-        if self.is_temporary {
+        if *self.is_temporary.get_mut() {
             // The next one removes what is left.
-            let _ = self.discard();
+            let _ = discard(&self.path);
         }
     }
+}
+
+/// Removes all of a folder, the lock last: what is left after a kill is still seen to be a leftover.
+fn discard(folder: &Path) -> Result<(), TilesError> {
+    clear(folder)?;
+    fs::remove_dir_all(folder).map_err(TilesError::file(folder))
+}
+
+fn clear(folder: &Path) -> Result<(), TilesError> {
+    for entry in fs::read_dir(folder).map_err(TilesError::file(folder))? {
+        let path = entry.map_err(TilesError::file(folder))?.path();
+        let removed = match path.is_dir() {
+            true => fs::remove_dir_all(&path),
+            false if path.file_name() == Some(LOCK.as_ref()) => Ok(()),
+            false => fs::remove_file(&path),
+        };
+        removed.map_err(TilesError::file(&path))?;
+    }
+    Ok(())
+}
+
+/// Makes a folder that nobody else sees into: temporary ones lie where everybody may.
+fn create_private(path: &Path) -> std::io::Result<()> {
+    let mut builder = fs::DirBuilder::new();
+    #[cfg(unix)]
+    std::os::unix::fs::DirBuilderExt::mode(&mut builder, 0o700);
+    builder.create(path)
 }
 
 fn locked(folder: &Path) -> Result<File, TilesError> {
@@ -220,7 +253,7 @@ fn remove_leftovers(parent: &Path) -> Result<(), TilesError> {
             // Of a program that was killed as it made or removed it: it is empty.
             let _ = fs::remove_dir(entry.path());
         } else if let Ok(lock) = locked(&entry.path()) {
-            let _ = Folder::at(&entry.path()).discard();
+            let _ = discard(&entry.path());
             drop(lock);
         }
     }
@@ -299,6 +332,19 @@ mod tests {
         assert!(folder.has_plan());
         folder.remove().expect("removed");
         assert!(!path.exists());
+    }
+
+    #[test]
+    #[cfg(unix)]
+    fn nobody_else_sees_into_a_temporary_folder() {
+        use std::os::unix::fs::PermissionsExt;
+        let parent = tempfile::tempdir().expect("a folder");
+        let temporary = Folder::temporary(parent.path()).expect("a folder");
+        let kept = Folder::kept(parent.path(), "dense.ply").expect("a folder");
+        for folder in [&temporary, &kept] {
+            let mode = fs::metadata(folder.path()).expect("a folder").permissions().mode();
+            assert_eq!(mode & 0o777, 0o700);
+        }
     }
 
     #[test]

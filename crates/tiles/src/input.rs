@@ -1,8 +1,11 @@
 //! A cloud that is read until it is known whether one tile holds it.
 
-use densecloud_cloud::{Attribute, Cloud, Values};
-use densecloud_formats::{Block, CloudReader, ColumnName, FormatError, Header};
+use densecloud::{Options, check_rules};
+use densecloud_cascade::CascadeError;
+use densecloud_cloud::{Attribute, Cloud, FrameError, Position, Values};
+use densecloud_formats::{Block, CloudReader, ColumnName, Format, FormatError, Header};
 
+use crate::TilesError;
 use crate::chunk::ROWS;
 
 /// What a reader turns out to hold.
@@ -38,6 +41,55 @@ impl<'r> Input<'r> {
         }
         Ok(Self::Small(Box::new(reader.finish()?.joined(first)), header))
     }
+}
+
+/// What is found of a cloud that is read to its end.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Found {
+    /// Its points.
+    pub points: u64,
+    /// Those that are finite.
+    pub finite: u64,
+    /// Bytes of each point's attributes in the result.
+    pub attribute_bytes: u64,
+}
+
+impl Large<'_> {
+    /// Reads it to its end, only to know that it can be worked on as is asked. Memory: that of a block.
+    ///
+    /// # Errors
+    /// As [`plan`](crate::plan), as far as it can be known without one.
+    pub fn check(self, options: &Options, tile_points: u64) -> Result<Found, TilesError> {
+        check_format(&self.header, options, tile_points)?;
+        let Self { mut reader, first, .. } = self;
+        let (mut points, mut finite) = (0, 0);
+        let mut see = |block: &Block| {
+            points += block.positions.len() as u64;
+            let is_finite = |p: &&Position| p.iter().all(|c| c.is_finite());
+            finite += block.positions.iter().filter(is_finite).count() as u64;
+        };
+        first.iter().for_each(&mut see);
+        drop(first);
+        let mut block = Block::default();
+        while reader.next_block(ROWS, &mut block)? {
+            see(&block);
+        }
+        let attributes = empty(&reader.finish()?.columns);
+        check_rules(options, &attributes)?;
+        if finite == 0 {
+            return Err(CascadeError::from(FrameError::NotFinite).into());
+        }
+        Ok(Found { points, finite, attribute_bytes: options.finish.bytes_a_point(&attributes) })
+    }
+}
+
+/// Refuses a format that needs the whole cloud, before any work.
+pub(crate) fn check_format(header: &Header, options: &Options, tile_points: u64) -> Result<(), TilesError> {
+    let format = Format::of_result(options.format, header.format, true);
+    if format.is_made_in_parts() {
+        return Ok(());
+    }
+    Err(TilesError::NotInParts { format: Box::new(format), tile_points, endings: Format::endings_of_parts() })
 }
 
 /// The attributes that the columns of a file are, without values.

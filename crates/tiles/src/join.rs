@@ -4,17 +4,16 @@ use std::io::Write;
 
 use densecloud::{Made, Report};
 use densecloud_cascade::CascadeError;
-use densecloud_cloud::{Attribute, Values};
-use densecloud_formats::{Block, CloudPlan, CloudWriter, FormatError};
+use densecloud_cloud::Attribute;
+use densecloud_formats::{CloudPlan, CloudWriter, FormatError};
 
 use crate::TilesError;
-use crate::chunk::{Chunks, KindName};
 use crate::run::Done;
 use crate::tiling::Tiling;
 
 /// The parts of a cloud, ready to be written one after another.
 pub struct Join<'a> {
-    tiling: &'a Tiling<'a>,
+    tiling: &'a Tiling,
     /// The result's attributes, without values.
     attributes: Vec<Attribute>,
     /// Where the header needs to know the points: it has seen them.
@@ -22,7 +21,7 @@ pub struct Join<'a> {
     report: Report,
 }
 
-impl Tiling<'_> {
+impl Tiling {
     /// Looks at all parts. Where the header of the result's format depends on the points, they are read for that.
     ///
     /// # Errors
@@ -42,34 +41,41 @@ impl Tiling<'_> {
         if points == 0 {
             return Err(CascadeError::NoneSure(self.manifest.causes.options.finish.min_confidence).into());
         }
-        let kinds = &done[0].attributes;
-        if let Some(other) = done.iter().position(|done| done.attributes != *kinds) {
-            return Err(TilesError::broken(
-                &self.folder.done(other as u32),
-                "it has other attributes than the first",
-            ));
+        for (tile, part) in done.iter().enumerate() {
+            self.check_attributes(tile as u32, &done[0], part)?;
         }
-        let attribute =
-            |(name, kind): &(String, KindName)| Attribute { name: name.clone(), values: Values::new(kind.0) };
-        let attributes: Vec<Attribute> = kinds.iter().map(attribute).collect();
-        let mut report = self.report.clone();
-        let mut seen = CloudPlan::new(report.format, &attributes, &report.origin);
+        let attributes = done[0].bare_attributes();
+        let mut seen = CloudPlan::new(self.report.format, &attributes, &self.report.origin);
         if seen.needs_points() {
             self.each_block(&attributes, points, |attributes, block| seen.see(&block, attributes, 0))?;
         }
-        report.points_out = points;
-        report.warnings.extend(self.made(&done).warnings());
+        let report = self.completed(&done, &attributes, &seen.renamed());
+        let seen = seen.needs_points().then_some(seen);
+        Ok(Join { tiling: self, attributes, seen, report })
+    }
+
+    /// What is told of the result once these tiles are done, whose parts have these attributes.
+    pub(crate) fn completed(
+        &self,
+        done: &[Done],
+        attributes: &[Attribute],
+        renamed: &[(String, String)],
+    ) -> Report {
+        let mut report = self.report.clone();
+        if done.len() as u32 == self.len() {
+            report.points_out = done.iter().map(|done| done.points).sum();
+        }
+        report.warnings.extend(self.made(done).warnings());
         if self.lost {
             let lost = "not carried over: what only the input's format knows (of COLMAP's points the keys): join where it was \
                         planned, with `upsample`, to keep it";
             report.warnings.push(lost.to_owned());
         }
-        report.tell_losses(&report.format.cannot_hold(&attributes, &report.origin), &seen.renamed());
-        let seen = seen.needs_points().then_some(seen);
-        Ok(Join { tiling: self, attributes, seen, report })
+        report.tell_losses(&report.format.cannot_hold(attributes, &report.origin), renamed);
+        report
     }
 
-    /// What became of all points.
+    /// What became of the points of these tiles.
     fn made(&self, done: &[Done]) -> Made {
         let sum = |of: fn(&Done) -> u64| done.iter().map(of).sum::<u64>() as usize;
         Made {
@@ -91,18 +97,9 @@ impl Tiling<'_> {
     ) -> Result<(), TilesError> {
         let mut given = 0;
         for tile in 0..self.len() {
-            let path = self.folder.part(tile);
-            let mut chunks = Chunks::open(&path)?;
-            while let Some(Block { positions, columns }) = chunks.next()? {
-                let is_whole = |(a, column): (&Attribute, &Values)| {
-                    a.values.kind() == column.kind() && column.len() == positions.len()
-                };
-                if columns.len() != attributes.len() || !attributes.iter().zip(&columns).all(is_whole) {
-                    return Err(TilesError::broken(&path, "it has other attributes than it should"));
-                }
+            let mut part = self.part(tile)?;
+            while let Some((block, positions)) = part.next(attributes)? {
                 given += positions.len() as u64;
-                let named = |(a, values): (&Attribute, Values)| Attribute { name: a.name.clone(), values };
-                let block: Vec<Attribute> = attributes.iter().zip(columns).map(named).collect();
                 take(&block, positions)?;
             }
         }
@@ -121,21 +118,22 @@ impl Join<'_> {
         &self.report
     }
 
-    /// Writes the result. Memory: that of some thousand points; LAZ is made in a temporary file first.
+    /// Writes the result, and gives all that is told of it. Memory: that of some thousand points; LAZ is made in a temporary
+    /// file first.
     ///
     /// # Errors
     /// The sink fails, a number is beyond what the format holds, or the parts are not as they were written.
-    pub fn write(self, sink: impl Write) -> Result<(), TilesError> {
+    pub fn write(self, sink: impl Write) -> Result<Report, TilesError> {
         let Self { tiling, attributes, seen, report } = self;
-        let Report { format, origin, points_out, .. } = report;
+        let Report { format, origin, points_out, .. } = &report;
         let mut writer = match seen {
             Some(seen) => seen.begin(sink)?,
-            None => CloudWriter::with(sink, format, points_out, &attributes, &origin)?,
+            None => CloudWriter::with(sink, *format, *points_out, &attributes, origin)?,
         };
-        tiling.each_block(&attributes, points_out, |attributes, block| {
+        tiling.each_block(&attributes, *points_out, |attributes, block| {
             writer.write_rows(&block, attributes, 0)
         })?;
         writer.finish()?;
-        Ok(())
+        Ok(report)
     }
 }

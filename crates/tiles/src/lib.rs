@@ -4,7 +4,8 @@
 //!    the whole, from the model's view of it to the types of attributes, is decided there, and written beside the tiles.
 //! 2. [`Tiling::run`] makes the part of the result that one tile gives: exactly as many points as planned. It needs nothing
 //!    but the folder, so tiles may be run in any order, more than once, and by any number of programs.
-//! 3. [`Tiling::join`] writes all parts into one file.
+//! 3. [`Tiling::join`] writes all parts into one file. [`Tiling::flow`] does so while tiles are still worked on, where the
+//!    format's header is known from the plan; [`Tiling::run_into`] is both steps at once.
 //!
 //! Memory is that of one tile, whatever the cloud's size. The result depends on the cloud, the options, the model and the
 //! points of a tile: not on threads, nor on the order of tiles.
@@ -13,11 +14,13 @@
 
 mod chunk;
 mod error;
+mod flow;
 mod folder;
 mod input;
 mod join;
 mod manifest;
 mod origin;
+mod part;
 mod plan;
 mod run;
 mod size;
@@ -27,11 +30,13 @@ mod tile;
 mod tiling;
 
 pub use error::TilesError;
+pub use flow::Flow;
 pub use folder::Folder;
-pub use input::{Input, Large};
+pub use input::{Found, Input, Large};
 pub use join::Join;
+pub use part::{PartReader, Points};
 pub use plan::plan;
-pub use size::{FEWEST, TILE_POINTS, TileSize, TooLittle};
+pub use size::{TILE_POINTS, TileSize, TooLittle};
 pub use tiling::Tiling;
 
 use densecloud::Options;

@@ -30,7 +30,7 @@ pub(crate) struct Done {
     pub(crate) unsure: u64,
 }
 
-impl Tiling<'_> {
+impl Tiling {
     /// Works on one tile, and writes its part to the folder; gives the points of that. Done again, it writes the same.
     ///
     /// Cost and memory: as of a cloud of the tile's points and those around it.
@@ -46,7 +46,7 @@ impl Tiling<'_> {
         let last = self.len().saturating_sub(1);
         let planned = self.manifest.tiles.get(tile as usize).ok_or(TilesError::NoTile { tile, last })?;
         let (attributes, adaptation) = (self.manifest.attributes(), self.manifest.adaptation());
-        let points = TileCloud::read(self.folder, tile, &attributes, &adaptation, &self.report.origin)?;
+        let points = TileCloud::read(&self.folder, tile, &attributes, &adaptation, &self.report.origin)?;
         if points.own.len() as u64 != planned.own {
             return Err(TilesError::broken(&self.folder.own(tile), "it has not the points that are planned"));
         }

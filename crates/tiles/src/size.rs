@@ -1,5 +1,6 @@
 //! How many points a tile has.
 
+use densecloud::Options;
 use densecloud::survey::Goal;
 use densecloud_cascade::{Demand, MAX_RATIO, Target};
 use densecloud_formats::Header;
@@ -9,7 +10,7 @@ pub const TILE_POINTS: u64 = 400_000;
 const ENOUGH: u64 = 4 << 30;
 
 /// Fewer points have too few neighbours, more cannot be told apart.
-pub const FEWEST: u64 = 1000;
+const FEWEST: u64 = densecloud::LEAST_TILE;
 const MOST: u64 = u32::MAX as u64;
 
 /// Bytes that the program takes whatever a tile has: its sessions, and a plan's sample of the whole.
@@ -41,13 +42,19 @@ pub struct TooLittle {
 }
 
 impl TileSize {
+    /// As the options have it.
+    #[must_use]
+    pub fn of(options: &Options) -> Self {
+        options.tile_points.map_or(Self::Usual, Self::Points)
+    }
+
     /// Points of a tile of a cloud with that header, of which that is wanted; the same on any machine.
     ///
     /// How many points each gives has to be known: where it depends on the cloud's surface, or on a number of points that the
     /// header does not tell, [`Memory`](Self::Memory) goes by the most that there can be, 64.
     ///
     /// # Errors
-    /// The memory is less than a tile of [`FEWEST`] points takes.
+    /// The memory is less than a tile of the [fewest points](densecloud::LEAST_TILE) takes.
     pub fn points(self, goal: Goal, header: &Header) -> Result<u64, TooLittle> {
         let needs = |ratio| bytes_a_point(ratio, header);
         let fitting = |memory: u64, ratio| memory.saturating_sub(FIXED) / needs(ratio);

@@ -18,8 +18,8 @@ use crate::{Folder, Step, TilesError, Work, origin};
 /// A cloud that is cut into tiles: each can be [run](Self::run) alone, in any order and as often as one likes, by any number
 /// of programs at once; then they are [joined](Self::join).
 #[derive(Debug)]
-pub struct Tiling<'f> {
-    pub(crate) folder: &'f Folder,
+pub struct Tiling {
+    pub(crate) folder: Folder,
     pub(crate) manifest: Manifest,
     pub(crate) partition: Partition,
     pub(crate) whole: Whole,
@@ -30,9 +30,9 @@ pub struct Tiling<'f> {
     pub(crate) lost: bool,
 }
 
-impl<'f> Tiling<'f> {
+impl Tiling {
     pub(crate) fn of(
-        folder: &'f Folder,
+        folder: &Folder,
         manifest: Manifest,
         whole: Whole,
         origin: Origin,
@@ -43,14 +43,14 @@ impl<'f> Tiling<'f> {
             return Err(broken("it has other tiles than boxes"));
         }
         let (plan, report) = (manifest.plan(), manifest.report(origin));
-        Ok(Self { folder, manifest, partition, whole, plan, report, lost: false })
+        Ok(Self { folder: folder.clone(), manifest, partition, whole, plan, report, lost: false })
     }
 
     /// What another program has planned in the folder.
     ///
     /// # Errors
     /// [`TilesError::File`], [`TilesError::Broken`].
-    pub fn load(folder: &'f Folder) -> Result<Self, TilesError> {
+    pub fn load(folder: &Folder) -> Result<Self, TilesError> {
         let (manifest, whole) = stored(folder)?;
         let (origin, lost) = origin::load(folder)?;
         Ok(Self { lost, ..Self::of(folder, manifest, whole, origin)? })
@@ -61,7 +61,7 @@ impl<'f> Tiling<'f> {
     ///
     /// # Errors
     /// [`TilesError::Differs`] where it was planned for another work, and as [`Tiling::load`].
-    pub fn resumed(input: Large<'_>, work: &Work<'_>, folder: &'f Folder) -> Result<Self, TilesError> {
+    pub fn resumed(input: Large<'_>, work: &Work<'_>, folder: &Folder) -> Result<Self, TilesError> {
         let (manifest, whole) = stored(folder)?;
         let own = causes(work, None);
         let asked = Causes { input: manifest.causes.input.clone(), ..own };
@@ -122,6 +122,23 @@ impl<'f> Tiling<'f> {
         [tile.own, tile.around, tile.size]
     }
 
+    /// Bytes that each point of the result takes beside its position, about.
+    #[must_use]
+    pub fn attribute_bytes(&self) -> u64 {
+        let mut attributes = self.manifest.attributes();
+        self.manifest.adaptation().apply(&mut attributes);
+        self.manifest.causes.options.finish.bytes_a_point(&attributes)
+    }
+
+    /// Bytes of the disk that the work takes until it is over, about: the points of tiles, and their parts.
+    #[must_use]
+    pub fn disk_bytes(&self) -> u64 {
+        let own = crate::plan::BARE + densecloud_cloud::bytes_a_point(&self.manifest.attributes());
+        let read: u64 = self.manifest.tiles.iter().map(|tile| tile.own + tile.around).sum();
+        let made = size_of::<densecloud_cloud::Position>() as u64 + self.attribute_bytes();
+        read.saturating_mul(own).saturating_add(self.report.points_out.saturating_mul(made))
+    }
+
     pub(crate) fn levels(&self) -> usize {
         (self.report.points_out as f64 / self.manifest.finite.max(1) as f64).log2().ceil().max(1.0) as usize
             - 1
@@ -156,7 +173,12 @@ impl<'f> Tiling<'f> {
     /// # Errors
     /// As [`Tiling::run`]; the others' parts stay.
     pub fn run_all(&self, work: &Work<'_>) -> Result<(), TilesError> {
-        let mut made = 0;
+        self.run_each(work, || true)
+    }
+
+    /// The same; `done` hears of each tile that is, and ends it by saying no.
+    pub(crate) fn run_each(&self, work: &Work<'_>, done: impl Fn() -> bool) -> Result<(), TilesError> {
+        let (tell, mut made) = (done, 0);
         for tile in 0..self.len() {
             if work.watch.cancelled() {
                 return Err(CascadeError::Cancelled.into());
@@ -167,6 +189,9 @@ impl<'f> Tiling<'f> {
                 Some(points) => points,
                 None => self.run(tile, work.runner, work.watch)?,
             };
+            if !tell() {
+                break;
+            }
         }
         Ok(())
     }

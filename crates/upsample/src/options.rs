@@ -39,6 +39,9 @@ pub struct Options {
     pub finish: Finish,
     /// How the input is read, where its content does not tell.
     pub reading: Reading,
+    /// The most points of a cloud that is worked on as a whole; of a larger one those of a tile, about. None is the usual
+    /// number. The library works on every cloud as a whole: its tiles are in a crate of their own.
+    pub tile_points: Option<u64>,
     /// The format of the result; that of the input where there is none.
     pub format: Option<Format>,
 }
@@ -50,6 +53,7 @@ impl Default for Options {
             cascade: CascadeOptions::default(),
             finish: Finish::default(),
             reading: Reading::default(),
+            tile_points: None,
             format: None,
         }
     }
@@ -96,6 +100,12 @@ impl Options {
             }
         }
         Ok(options)
+    }
+
+    /// Work and memory for each point: [`Request::effort`](crate::Request::effort).
+    #[must_use]
+    pub fn effort(&self) -> f64 {
+        crate::request::effort(&self.cascade)
     }
 
     /// Whether one of these names is a goal's.

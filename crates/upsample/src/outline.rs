@@ -48,7 +48,7 @@ impl Outline<'_> {
     /// Decides. `input` is the format that the cloud came in, `model` the one that will be used. O(1) an attribute.
     #[must_use]
     pub fn outlined(&self, input: Format, options: &Options, model: &ModelName) -> Outlined {
-        let Options { goal: _, cascade: settings, finish, reading, format: wanted } = options;
+        let Options { goal: _, cascade: settings, finish, reading, tile_points: _, format: wanted } = options;
         let mut warnings = self.told.clone();
         let mut format = Format::of_result(*wanted, input, !self.attributes.is_empty());
         let mut points_out = 0;

@@ -26,6 +26,8 @@ pub enum Topic {
     Attributes,
     /// How the cascade is run.
     Cascade,
+    /// How a large cloud is cut into tiles.
+    Tiles,
     /// How the file is read.
     Reading,
 }
@@ -80,7 +82,7 @@ impl fmt::Display for Value {
 }
 
 /// Every option, in the order of help texts.
-pub static PARAMETERS: [Parameter; 24] = [
+pub static PARAMETERS: [Parameter; 25] = [
     Parameter {
         name: "ratio",
         short: Some('r'),
@@ -325,6 +327,22 @@ pub static PARAMETERS: [Parameter; 24] = [
         tell: |options| Some(Value::Text(options.cascade.quality.to_string())),
     },
     Parameter {
+        name: "tile_points",
+        short: None,
+        value: Some("N"),
+        help: "Work on a cloud of more points than that in tiles of about as many, one after another, in memory that does \
+               not grow with the cloud [default: 400000, fewer at more than 18 points for each]",
+        topic: Topic::Tiles,
+        read: |options, text| {
+            let (least, most) = (LEAST_TILE, u64::from(u32::MAX));
+            let points = text.parse().ok().filter(|points| (least..=most).contains(points));
+            let wrong = || format!("{text:?} is not a whole number from {least} to {most}");
+            options.tile_points = Some(points.ok_or_else(wrong)?);
+            Ok(())
+        },
+        tell: |options| options.tile_points.map(Value::Whole),
+    },
+    Parameter {
         name: "attributes",
         short: None,
         value: Some("NAME:RULE,..."),
@@ -403,6 +421,9 @@ pub static PARAMETERS: [Parameter; 24] = [
         tell: |options| options.reading.bounds.map(|bounds| Value::Text(bounds.to_string())),
     },
 ];
+
+/// The fewest points of a tile: of fewer, most would lie at a border.
+pub const LEAST_TILE: u64 = 1000;
 
 /// The highest overlap: the cascade's own limit.
 const MOST_OVERLAP: f64 = 100.0;

@@ -22,6 +22,14 @@ pub struct Request {
     pub plan: Plan,
 }
 
+/// As [`Request::effort`], of these settings.
+pub(crate) fn effort(settings: &CascadeOptions) -> f64 {
+    let (usual, CascadeOptions { overlap, inner, quality, .. }) = (CascadeOptions::default(), *settings);
+    let (run, merged) = (overlap / usual.overlap, overlap * inner / (usual.overlap * usual.inner));
+    let levels = if quality == Quality::Best { 2.0 } else { 1.0 };
+    levels * run.max(merged).max(1.0)
+}
+
 impl Request {
     /// A request whose plan is that of its cloud and its rules.
     #[must_use]
@@ -34,11 +42,7 @@ impl Request {
     /// work grows with the overlap, and the points to merge with the overlap times the inner share; the larger growth counts.
     #[must_use]
     pub fn effort(&self) -> f64 {
-        let (usual, CascadeOptions { overlap, inner, quality, .. }) =
-            (CascadeOptions::default(), self.settings);
-        let (run, merged) = (overlap / usual.overlap, overlap * inner / (usual.overlap * usual.inner));
-        let levels = if quality == Quality::Best { 2.0 } else { 1.0 };
-        levels * run.max(merged).max(1.0)
+        effort(&self.settings)
     }
 
     /// Runs the cascade and finishes what it made, on the current rayon pool. `observer` hears of the cascade's stages,

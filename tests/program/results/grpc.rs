@@ -40,8 +40,8 @@ fn together(answers: Vec<UpsampleResponse>) -> Vec<u8> {
     let mut columns: Vec<Vec<u8>> = Vec::new();
     for answer in answers {
         match answer.message.expect("a message") {
-            // How many of them there are is a matter of time.
-            Out::Progress(_) => {}
+            // How many of them there are is a matter of time, and none of these clouds is in tiles.
+            Out::Progress(_) | Out::Ending(_) => {}
             Out::Header(header) => {
                 let layout = header.layout.unwrap_or_default();
                 columns = vec![Vec::new(); layout.fields.len()];

@@ -3,6 +3,7 @@
 mod answers;
 mod departures;
 mod services;
+mod tiles;
 
 use densecloud_cloud::{Attribute, Cloud, Origin, Values};
 use densecloud_formats::{CloudReader, Format, Limits, Scalar};
@@ -107,6 +108,8 @@ struct Answer {
     positions: Vec<u8>,
     fields: Vec<Vec<u8>>,
     chunks: usize,
+    /// What was told after the last chunk, of a result in tiles.
+    ending: Option<Vec<String>>,
 }
 
 async fn ask(
@@ -117,7 +120,9 @@ async fn ask(
     let mut answer = Answer::default();
     let mut headers = 0;
     while let Some(message) = stream.message().await? {
+        assert!(answer.ending.is_none(), "the ending is the last");
         match message.message.expect("a message") {
+            Out::Ending(ending) => answer.ending = Some(ending.warnings),
             Out::Progress(progress) => {
                 assert_eq!(headers, 0, "progress comes before the result");
                 answer.progress.push(progress);

@@ -117,15 +117,15 @@ pub(super) fn is_kept(path: &Path) -> bool {
 /// failure leaves half a file under that name; a device or a named pipe is written to as it is.
 pub(super) fn write(
     path: &Path,
-    encode: impl FnOnce(&mut dyn Write) -> Result<(), Box<dyn std::error::Error>>,
+    encode: impl FnOnce(&mut (dyn Write + Send)) -> Result<(), Box<dyn std::error::Error>>,
 ) -> Result<(), CliError> {
     let unmade = |why: io::Error| CliError::file(path, why);
-    let through = |sink: &mut dyn Write| {
+    let through = |sink: &mut (dyn Write + Send)| {
         let mut sink = BufWriter::with_capacity(1 << 20, sink);
         encode(&mut sink).and_then(|()| Ok(sink.flush()?)).map_err(|why| CliError::file(path, why))
     };
     let target = match Output::of(path).map_err(unmade)? {
-        Output::Stdout => return through(&mut io::stdout().lock()),
+        Output::Stdout => return through(&mut io::stdout()),
         Output::Device => return through(&mut File::options().write(true).open(path).map_err(unmade)?),
         Output::File(target) => target,
     };
@@ -198,7 +198,7 @@ mod tests {
     #[test]
     fn a_folder_is_no_output() {
         let dir = tempfile::tempdir().expect("a folder");
-        let never = |_: &mut dyn Write| panic!("a folder was written to");
+        let never = |_: &mut (dyn Write + Send)| panic!("a folder was written to");
         assert!(matches!(write(dir.path(), never), Err(CliError::File { .. })));
     }
 }

@@ -14,6 +14,7 @@ use tracing_subscriber::EnvFilter;
 use super::log::{Log, failed_in_json};
 use super::serve_args::{Checked, LogFormat, ServeArgs};
 use super::signals::{Hangups, Signals};
+use super::tile_args::temp_files_in;
 use super::{CliError, data_folder, engine_args, memory};
 use densecloud_backends::Model;
 use densecloud_engine::Engine;
@@ -80,6 +81,9 @@ fn begin(args: &ServeArgs, log: &Log) -> Result<(), CliError> {
     config.lines_lost = log.lost().clone();
     if let Some(jobs) = &config.jobs {
         data_folder::prepare(&jobs.folder)?;
+    }
+    if let Some(temp) = &config.temp {
+        temp_files_in(temp)?;
     }
     start_log(filter, args.log_format, log)?;
     raise_descriptors(config.limits.connections);

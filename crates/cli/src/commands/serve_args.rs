@@ -76,15 +76,25 @@ pub(super) struct ServeArgs {
         default_value_t = Limits::default().points_in)]
     max_points_in: u64,
 
-    /// Points in one result; each takes the engine about half a kilobyte of memory
+    /// Points in one result; of one that is worked on as a whole each takes about half a kilobyte of memory
     #[arg(long, env = "DENSECLOUD_MAX_POINTS_OUT", value_name = "N",
         default_value_t = Limits::default().points_out)]
     max_points_out: u64,
 
-    /// Bytes of all uploads not yet parsed and all results not yet sent
+    /// Bytes of memory of all uploads not yet parsed and all results not yet sent
     #[arg(long, env = "DENSECLOUD_MAX_HELD_BYTES", value_name = "N",
         default_value_t = Limits::default().held_bytes)]
     max_held_bytes: u64,
+
+    /// Where long uploads and the tiles of large clouds lie while they are worked on [default: the system's folder for
+    /// temporary files]
+    #[arg(long, env = "DENSECLOUD_TEMP_DIR", value_name = "DIR")]
+    temp_dir: Option<PathBuf>,
+
+    /// Bytes of the disk that these may take
+    #[arg(long, env = "DENSECLOUD_MAX_TEMP_BYTES", value_name = "N",
+        default_value_t = Limits::default().temp_bytes)]
+    max_temp_bytes: u64,
 
     /// Connections open at a time; more wait in the system's backlog
     #[arg(long, env = "DENSECLOUD_MAX_CONNECTIONS", value_name = "N",
@@ -228,6 +238,7 @@ impl ServeArgs {
                 points_in: self.max_points_in,
                 points_out: self.max_points_out,
                 held_bytes: self.max_held_bytes,
+                temp_bytes: self.max_temp_bytes,
                 connections: self.max_connections,
                 client_connections: self.client_connections,
             },
@@ -240,6 +251,7 @@ impl ServeArgs {
                 drain: self.drain_timeout,
             },
             access: self.access.access(),
+            temp: self.temp_dir.clone(),
             jobs: self.jobs.settings(),
             cors: self.cors_origin.clone(),
             base_path: self.base_path.clone().unwrap_or_default(),
@@ -408,6 +420,7 @@ mod tests {
             "--max-points-in=2",
             "--max-points-out=3",
             "--max-held-bytes=4",
+            "--max-temp-bytes=7",
             "--max-connections=5",
             "--client-connections=6",
             "--head-timeout=0.5",
@@ -423,6 +436,7 @@ mod tests {
             points_in: 2,
             points_out: 3,
             held_bytes: 4,
+            temp_bytes: 7,
             connections: 5,
             client_connections: 6,
         };

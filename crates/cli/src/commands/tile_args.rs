@@ -1,27 +1,19 @@
 //! Options of a work in tiles.
 
-use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
 use densecloud::Options;
 use densecloud_formats::Header;
-use densecloud_tiles::{FEWEST, TileSize};
+use densecloud_tiles::TileSize;
 
 use super::CliError;
 use super::memory::{self, Memory};
 
-const TILE_POINTS_RANGE: RangeInclusive<u64> = FEWEST..=u32::MAX as u64;
-
 /// How large tiles are.
 #[derive(Debug, Clone, Args)]
 pub(super) struct SizeArgs {
-    /// Work on a cloud of more points than that in tiles of about as many, one after another, in memory that does not grow
-    /// with the cloud [default: 400000, fewer at more than 18 points for each]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(TILE_POINTS_RANGE))]
-    tile_points: Option<u64>,
-
-    /// Instead of a number of points, the bytes of memory that the work may take, as estimated; auto is by the machine's
+    /// Instead of --tile-points, the bytes of memory that the work may take, as estimated; auto is by the machine's
     /// memory, and gives other points on another machine
     #[arg(long, value_name = "N", value_parser = memory::parse, conflicts_with = "tile_points")]
     max_memory: Option<Memory>,
@@ -30,11 +22,7 @@ pub(super) struct SizeArgs {
 impl SizeArgs {
     /// Points of a tile of a cloud with that header.
     pub(super) fn points(&self, options: &Options, header: &Header) -> Result<u64, CliError> {
-        let size = match (self.tile_points, self.max_memory) {
-            (Some(points), _) => TileSize::Points(points),
-            (_, Some(memory)) => TileSize::Memory(memory.bytes(0)),
-            _ => TileSize::Usual,
-        };
+        let size = self.max_memory.map_or(TileSize::of(options), |memory| TileSize::Memory(memory.bytes(0)));
         size.points(options.goal, header).map_err(|why| CliError::Usage(format!("--max-memory: {why}")))
     }
 }

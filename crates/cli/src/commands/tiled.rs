@@ -35,13 +35,11 @@ pub(super) fn run(
     };
     let tiling = tiling.map_err(fail)?;
     super::warn(&tiling.report().warnings, args.quiet);
-    tiling.run_all(&work).map_err(fail)?;
+    let (told, tiles) = (tiling.report().warnings.len(), tiling.len());
+    let report = flow(&Arc::new(tiling), &work, args)?;
     progress.finish();
-    let join = tiling.join().map_err(fail)?;
-    super::warn(&join.report().warnings[tiling.report().warnings.len()..], args.quiet);
-    let report = write(join, &args.output)?;
-    let tiles = tiling.len();
-    drop(tiling);
+    super::warn(&report.warnings[told..], args.quiet);
+    write_provenance(&report, &args.output)?;
     // What is gone on with stays until it is done.
     if args.resume {
         folder.remove().map_err(fail)?;
@@ -53,10 +51,26 @@ pub(super) fn run(
     Ok(())
 }
 
+/// Runs the tiles, and writes the result as it comes.
+fn flow(tiling: &Arc<Tiling>, work: &Work<'_>, args: &UpsampleArgs) -> Result<Report, CliError> {
+    let (mut report, mut failure) = (None, None);
+    let written = files::write(&args.output, |sink| {
+        match tiling.run_into(work, sink) {
+            Ok(made) => report = Some(made),
+            // Of what is written: the input has been read.
+            Err(TilesError::Format(why)) => return Err(why.into()),
+            Err(why) => failure = Some(failed(&args.input, why)),
+        }
+        failure.as_ref().map_or(Ok(()), |_| Err("there is no result".into()))
+    });
+    failure.map_or(written, Err)?;
+    report.ok_or_else(|| CliError::Failed("there is no result".into()))
+}
+
 /// Writes what is joined, and where it comes from beside it if need be.
 pub(super) fn write(join: Join<'_>, output: &Path) -> Result<Report, CliError> {
     let report = join.report().clone();
-    files::write(output, |sink| Ok(join.write(sink)?))?;
+    files::write(output, |sink| Ok(join.write(sink).map(drop)?))?;
     write_provenance(&report, output)?;
     Ok(report)
 }

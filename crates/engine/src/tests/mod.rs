@@ -205,7 +205,7 @@ fn a_small_request_does_not_wait_for_a_large_one() {
 }
 
 fn cost(points_in: u64, points_out: u64) -> Cost {
-    Cost { points_in, points_out }
+    Cost::new(points_in, points_out)
 }
 
 fn caller(name: &str) -> Caller {
@@ -545,4 +545,33 @@ proptest! {
         drop((permits, pending));
         wait_until(|| engine.inner.queue.is_clean());
     }
+}
+
+#[test]
+fn a_work_in_parts_has_the_points_of_what_is_left_and_the_memory_of_one() {
+    let machine = Machine::new(1);
+    let demand = Demand::default();
+    let at_once = cost(500, 2000).memory(demand);
+    let engine = machine.engine(EngineConfig { memory: at_once, ..sizes(1_000_000) });
+    let whole = cost(100_000, 400_000);
+    assert!(matches!(engine.reserve(&Caller::default(), whole), Err(Refusal::TooBig { .. })));
+    let mut left = engine.reserve(&Caller::default(), whole.in_parts(400)).unwrap();
+    for part in 1..=3_u64 {
+        let permit = left.part(cost(10_000, 40_000));
+        assert_eq!(engine.queued_points(), 400_000 - (part - 1) * 40_000);
+        let of = Part { cost: cost(500, 2000), is_typical: true };
+        let work = move |runner: &dyn LevelRunner, _: &dyn Observer| Ok(runner.units() as u64 * part);
+        let made = engine.submit_part(&Caller::default(), permit, of, work).wait().unwrap().made;
+        assert_eq!(made, Fake::new().units() as u64 * part);
+        assert_eq!(engine.queued_points(), 400_000 - part * 40_000);
+    }
+    // A last one that is larger than what is left of it.
+    let last = left.part(cost(100_000, 400_000));
+    drop(left);
+    assert_eq!(engine.queued_points(), 280_000);
+    let late = Caller { deadline: Some(machine.clock.now()), ..Caller::default() };
+    let of = Part { cost: cost(500, 2000), is_typical: false };
+    let ended = engine.submit_part(&late, last, of, |_, _| Ok(())).wait();
+    assert!(matches!(ended, Err(EngineError::Deadline { .. })), "{ended:?}");
+    assert!(engine.queued_points() == 0 && engine.inner.queue.is_clean());
 }

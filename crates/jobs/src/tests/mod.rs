@@ -31,13 +31,25 @@ fn job(request: &str, key: Option<&str>, input: &[u8]) -> NewJob {
         points_in: input.len() as u64,
         points_out: 4 * input.len() as u64,
         result_bytes: RESULT,
-        input: input.into(),
+        input: std::sync::Arc::new(input.to_vec()),
     }
 }
 
 /// As the server does it.
+/// A cloud's file.
+fn bytes(file: &dyn CloudFile) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    file.copy_to(&mut bytes).expect("memory");
+    bytes
+}
+
+/// All that a job is.
+fn told(job: &NewJob) -> String {
+    format!("{job:?} {:?}", bytes(&*job.input))
+}
+
 fn try_submit(store: &Store, job: &NewJob, now: Time) -> Result<Submitted, StoreError> {
-    let draft = Draft::new(job.clone());
+    let draft = Draft::new(job.clone()).expect("a draft");
     match store.admit(&draft)? {
         Admitted::Known(record) => Ok(Submitted::Known(*record)),
         Admitted::New(id) => store.insert(&draft, store.write_input(&id, &draft)?, now),
@@ -172,7 +184,7 @@ fn a_folder_is_open_once_and_a_later_version_is_not_touched() {
 fn what_is_refused_leaves_no_file() {
     let dir = tempfile::tempdir().expect("a folder");
     let store = Store::open(dir.path(), Bounds { jobs: 1, ..BOUNDS }, 0).expect("a store");
-    let draft = Draft::new(job("a", None, b"cloud"));
+    let draft = Draft::new(job("a", None, b"cloud")).expect("a draft");
     let Admitted::New(late) = store.admit(&draft).expect("room") else { panic!("new") };
     let input = store.write_input(&late, &draft).expect("room");
     let first = submit(&store, &job("b", None, b"cloud"), 0);

@@ -46,7 +46,7 @@ mod sqlite {
 }
 
 fn try_put(records: &dyn Records, job: &NewJob, now: Time) -> Result<Submitted, StoreError> {
-    let draft = Draft::new(job.clone());
+    let draft = Draft::new(job.clone()).expect("a draft");
     match records.admit(&draft)? {
         Admitted::Known(record) => Ok(Submitted::Known(*record)),
         Admitted::New(id) => records.insert(&id, &draft, now),
@@ -157,7 +157,7 @@ fn no_more_jobs_wait_than_may(records: &dyn Records) {
     let full = records.has_room("b0");
     assert!(matches!(full, Err(StoreError::Full { queued: 40, limit: 40 })), "{full:?}");
     // One that came between question and insertion.
-    let late = records.insert("late", &Draft::new(of("c", None)), 0);
+    let late = records.insert("late", &Draft::new(of("c", None)).expect("a draft"), 0);
     assert!(matches!(late, Err(StoreError::Full { .. })), "{late:?}");
     let load = records.load("a").expect("no fault");
     assert_eq!(load, Load { jobs: 40, points: 40 * 12, clients: 3, own: 20 });
@@ -175,7 +175,7 @@ fn a_key_names_one_request(records: &dyn Records) {
         assert!(matches!(refused, Err(StoreError::OtherRequest)), "{refused:?}");
     }
     // As does one that came between question and insertion.
-    let known = records.insert("another", &Draft::new(new.clone()), 1);
+    let known = records.insert("another", &Draft::new(new.clone()).expect("a draft"), 1);
     assert_eq!(known.expect("no fault"), Submitted::Known(get(records, &id)));
     // It is known whatever becomes of it, until it is forgotten.
     assert!(records.cancel(&id, 2).expect("no fault"));

@@ -73,7 +73,7 @@ fn wait_until(jobs: &Jobs, mut so: impl FnMut() -> bool) {
 }
 
 fn keep(jobs: &Jobs, job: &NewJob) -> String {
-    let draft = Draft::new(job.clone());
+    let draft = Draft::new(job.clone()).expect("a draft");
     let Admitted::New(id) = jobs.store().admit(&draft).expect("room") else { panic!("new") };
     let input = jobs.store().write_input(&id, &draft).expect("room");
     assert!(matches!(jobs.insert(&draft, input), Ok(Submitted::New(_))));

@@ -46,7 +46,7 @@ impl Ticket {
     /// Not ready, or the engine's.
     pub(crate) fn check(&self) -> Result<(), Problem> {
         self.app.readiness.check()?;
-        let least = Cost { points_in: 1, points_out: 1 };
+        let least = Cost::new(1, 1);
         self.app.engine.would_admit(&self.caller, least).map_err(|error| self.refused(error))
     }
 
@@ -54,10 +54,10 @@ impl Ticket {
     ///
     /// # Errors
     /// Above a limit, or the engine's.
-    pub(crate) fn reserve(&mut self, points_in: u64, points_out: u64) -> Result<(), Problem> {
-        self.app.check_points(points_in, points_out)?;
+    pub(crate) fn reserve(&mut self, cost: Cost) -> Result<(), Problem> {
+        self.app.check_points(cost.points_in, cost.points_out)?;
         if self.reserved.is_none() {
-            let permit = self.app.engine.reserve(&self.caller, Cost { points_in, points_out });
+            let permit = self.app.engine.reserve(&self.caller, cost);
             self.reserved = Some(permit.map_err(|error| self.refused(error))?);
             self.app.metrics.admitted();
         }
@@ -69,14 +69,13 @@ impl Ticket {
     ///
     /// # Errors
     /// The engine's, of which all say when to come again.
-    pub(crate) fn guess(&mut self, points_in: u64, points_out: u64) -> Result<(), Problem> {
-        let cost = Cost { points_in, points_out };
+    pub(crate) fn guess(&mut self, cost: Cost) -> Result<(), Problem> {
         let limits = &self.app.config.limits;
         let known = self.reserved.is_some() || self.app.engine.check_memory(cost).is_err();
-        if known || points_in > limits.points_in || points_out > limits.points_out {
+        if known || cost.points_in > limits.points_in || cost.points_out > limits.points_out {
             return Ok(());
         }
-        self.reserve(points_in, points_out)
+        self.reserve(cost)
     }
 
     /// All of the request is there; it waits to be read.
@@ -100,6 +99,17 @@ impl Ticket {
         }
         self.deadline.queued(job.progress_handle());
         Ok(job)
+    }
+
+    /// Gives what is reserved to work that is done in parts; where nothing is, so much.
+    ///
+    /// # Errors
+    /// As [`Ticket::reserve`].
+    pub(crate) fn into_parts(mut self, cost: Cost) -> Result<(Caller, Deadline, Permit), Problem> {
+        self.reserve(cost)?;
+        let Self { caller, deadline, reserved, .. } = self;
+        let permit = reserved.ok_or_else(|| Problem::Internal("nothing is reserved".into()))?;
+        Ok((caller, deadline, permit))
     }
 
     fn refused(&self, error: impl Into<EngineError>) -> Problem {

@@ -14,7 +14,8 @@ use axum::middleware::Next;
 use axum::response::Response;
 use flate2::write::GzEncoder;
 use futures::stream;
-use http_body_util::BodyExt;
+use http_body_util::{BodyExt, StreamBody};
+use hyper::body::Frame;
 use tokio::task::spawn_blocking;
 use zstd::stream::write::Encoder as ZstdEncoder;
 use zstd::zstd_safe::CParameter;
@@ -126,29 +127,40 @@ pub(crate) async fn compress(State(app): State<Arc<App>>, request: Request, next
     if bodyless { response } else { response.map(|body| encoded(body, encoder, held)) }
 }
 
-/// The body, compressed as fast as the client reads.
+/// What is left of a body that is compressed.
+enum Left {
+    Body(Body, Encoder, Held),
+    Trailers(HeaderMap),
+    Nothing,
+}
+
+/// The body, compressed as fast as the client reads; trailers as they are.
 fn encoded(body: Body, encoder: Encoder, held: Held) -> Body {
-    Body::from_stream(stream::try_unfold(Some((body, encoder, held)), |state| async move {
-        let Some((mut body, mut encoder, held)) = state else { return Ok(None) };
+    let frames = stream::try_unfold(Left::Body(body, encoder, held), |left| async move {
+        let (mut body, mut encoder, held) = match left {
+            Left::Body(body, encoder, held) => (body, encoder, held),
+            Left::Trailers(fields) => return Ok(Some((Frame::trailers(fields), Left::Nothing))),
+            Left::Nothing => return Ok(None),
+        };
         loop {
-            let piece = match body.frame().await {
-                None => None,
-                Some(Err(error)) => return Err(io::Error::other(error)),
-                // None of what is compressed has trailers.
-                Some(Ok(frame)) => Some(frame.into_data().unwrap_or_default()),
-            };
-            let Some(piece) = piece else {
-                let last = spawn_blocking(move || encoder.finish()).await.map_err(io::Error::other)??;
-                return Ok(Some((last, None)));
+            let frame = body.frame().await.transpose().map_err(io::Error::other)?;
+            let piece = match frame.map(Frame::into_data) {
+                Some(Ok(piece)) => piece,
+                end => {
+                    let trailers = end.and_then(|frame| frame.err()?.into_trailers().ok());
+                    let last = spawn_blocking(move || encoder.finish()).await.map_err(io::Error::other)??;
+                    return Ok(Some((Frame::data(last), trailers.map_or(Left::Nothing, Left::Trailers))));
+                }
             };
             let step = spawn_blocking(move || encoder.add(&piece).map(|ready| (ready, encoder)));
             let ready;
             (ready, encoder) = step.await.map_err(io::Error::other)??;
             if !ready.is_empty() {
-                return Ok(Some((ready, Some((body, encoder, held)))));
+                return Ok::<_, io::Error>(Some((Frame::data(ready), Left::Body(body, encoder, held))));
             }
         }
-    }))
+    });
+    Body::new(StreamBody::new(Box::pin(frames)))
 }
 
 enum Encoder {

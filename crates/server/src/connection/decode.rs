@@ -11,6 +11,7 @@ use zstd::stream::zio;
 use zstd::zstd_safe::DParameter;
 
 use crate::admission::budget::Held;
+use crate::connection::content::{Arriving, Content};
 use crate::problem::Problem;
 
 /// How a body is compressed.
@@ -70,17 +71,27 @@ pub(crate) enum DecodeError {
     TooLarge,
     /// No memory left for it.
     NoRoom,
+    /// No more of the disk is to be taken.
+    NoDisk,
+    /// The disk does not take it.
+    Disk(io::ErrorKind, String),
     /// Not what its coding says, or not all of it.
     Broken(String),
 }
 
 impl Decoder {
-    /// For a body of this coding, of at most `limit` bytes when decoded, all of which `held` counts.
+    /// For a body of this coding, of at most `limit` bytes when decoded, which goes to `arriving`; the first of two shares
+    /// counts those in memory, the second those on the disk.
     ///
     /// # Errors
     /// [`DecodeError::NoRoom`] for the decoder itself.
-    pub(crate) fn new(coding: Coding, held: Held, limit: u64) -> Result<Self, DecodeError> {
-        let sink = Sink { bytes: Vec::new(), held, limit, refusal: None };
+    pub(crate) fn new(
+        coding: Coding,
+        arriving: Arriving,
+        [held, on_disk]: [Held; 2],
+        limit: u64,
+    ) -> Result<Self, DecodeError> {
+        let sink = Sink { arriving, held, on_disk, limit, refusal: None };
         Ok(match coding {
             Coding::Identity => Self::Identity(sink),
             Coding::Gzip => Self::Gzip(Box::new(MultiGzDecoder::new(sink))),
@@ -94,29 +105,29 @@ impl Decoder {
         })
     }
 
-    /// What there is so far.
-    pub(crate) fn bytes(&self) -> &[u8] {
-        &self.sink().bytes
+    /// What there is so far, or, where that is long, the beginning of it.
+    pub(crate) fn head(&self) -> &[u8] {
+        self.sink().arriving.head()
     }
 
     /// Takes one more piece. What a small piece becomes may be large, so decoding is done on a blocking
-    /// thread.
+    /// thread, and so is writing to the disk.
     ///
     /// # Errors
     /// [`DecodeError`], as soon as the limit is passed.
     pub(crate) async fn add(mut self, piece: Bytes) -> Result<Self, DecodeError> {
-        if let Self::Identity(_) = self {
+        if matches!(&self, Self::Identity(sink) if !sink.arriving.is_on_disk(piece.len())) {
             return self.write(&piece).map(|()| self);
         }
         let written = spawn_blocking(move || self.write(&piece).map(|()| self));
         written.await.unwrap_or_else(|error| Err(DecodeError::Broken(error.to_string())))
     }
 
-    /// The whole body, and its share of the memory.
+    /// The whole body, and its shares of the memory and of the disk.
     ///
     /// # Errors
     /// [`DecodeError::Broken`] where its end is missing or its checksum is wrong.
-    pub(crate) fn finish(self) -> Result<(Vec<u8>, Held), DecodeError> {
+    pub(crate) fn finish(self) -> Result<(Content, [Held; 2]), DecodeError> {
         let sink = match self {
             Self::Identity(sink) => sink,
             Self::Gzip(decoder) => decoder.finish().map_err(broken)?,
@@ -127,7 +138,7 @@ impl Decoder {
             }
         };
         match sink.refusal {
-            None => Ok((sink.bytes, sink.held)),
+            None => Ok((sink.arriving.finish(), [sink.held, sink.on_disk])),
             Some(refusal) => Err(refusal),
         }
     }
@@ -173,28 +184,43 @@ fn broken(error: io::Error) -> DecodeError {
 /// Collects decoded bytes. It refuses the first byte above the limit, so that the decoder stops there.
 #[derive(Debug)]
 pub(crate) struct Sink {
-    bytes: Vec<u8>,
+    arriving: Arriving,
     held: Held,
+    /// Of the disk's budget.
+    on_disk: Held,
     limit: u64,
     refusal: Option<DecodeError>,
 }
 
 impl Write for Sink {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        if (self.bytes.len() + bytes.len()) as u64 > self.limit {
-            self.refusal = Some(DecodeError::TooLarge);
-        } else if !self.held.grow(bytes.len() as u64) || self.bytes.try_reserve(bytes.len()).is_err() {
-            self.refusal = Some(DecodeError::NoRoom);
-        }
-        if self.refusal.is_some() {
-            return Err(io::Error::other("no room"));
-        }
-        self.bytes.extend_from_slice(bytes);
+        self.take(bytes).map_err(|refusal| {
+            self.refusal = Some(refusal);
+            io::Error::other("no room")
+        })?;
         Ok(bytes.len())
     }
 
     fn flush(&mut self) -> io::Result<()> {
         Ok(())
+    }
+}
+
+impl Sink {
+    fn take(&mut self, bytes: &[u8]) -> Result<(), DecodeError> {
+        if self.arriving.length() + bytes.len() as u64 > self.limit {
+            return Err(DecodeError::TooLarge);
+        }
+        if !self.held.grow(self.arriving.grows(bytes.len())) {
+            return Err(DecodeError::NoRoom);
+        }
+        if !self.on_disk.grow(self.arriving.grows_on_disk(bytes.len())) {
+            return Err(DecodeError::NoDisk);
+        }
+        self.arriving.add(bytes).map_err(|error| match error.kind() {
+            io::ErrorKind::OutOfMemory => DecodeError::NoRoom,
+            kind => DecodeError::Disk(kind, error.to_string()),
+        })
     }
 }
 
@@ -222,13 +248,16 @@ mod tests {
 
     /// What comes of these bytes in pieces of `piece`.
     fn decode(coding: Coding, bytes: &[u8], piece: usize, limit: u64) -> Result<Vec<u8>, DecodeError> {
-        let held = Budget::new(ROOM).hold(0).expect("room");
-        let mut decoder = Decoder::new(coding, held, limit)?;
+        let mut decoder = Decoder::new(coding, Arriving::new(None), shares(ROOM), limit)?;
         for piece in bytes.chunks(piece) {
             decoder.write(piece)?;
-            assert!(decoder.bytes().len() as u64 <= limit);
+            assert!(decoder.head().len() as u64 <= limit);
         }
-        decoder.finish().map(|(bytes, _)| bytes)
+        decoder.finish().map(|(content, _)| content.head().to_vec())
+    }
+
+    fn shares(room: u64) -> [Held; 2] {
+        [room, 0].map(|room| Budget::new(room).hold(0).expect("room"))
     }
 
     const CODINGS: [Coding; 4] = [Coding::Identity, Coding::Gzip, Coding::Deflate, Coding::Zstd];
@@ -275,8 +304,8 @@ mod tests {
         let refused = decode(Coding::Zstd, &with_window(27), 64, 1 << 20);
         assert!(matches!(&refused, Err(DecodeError::Broken(why)) if why.contains("memory")), "{refused:?}");
         // And the one that is allowed is counted before it is taken.
-        let held = Budget::new(ZSTD_MEMORY - 1).hold(0).expect("room");
-        assert!(matches!(Decoder::new(Coding::Zstd, held, 100), Err(DecodeError::NoRoom)));
+        let refused = Decoder::new(Coding::Zstd, Arriving::new(None), shares(ZSTD_MEMORY - 1), 100);
+        assert!(matches!(refused, Err(DecodeError::NoRoom)));
     }
 
     #[test]

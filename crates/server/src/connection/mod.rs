@@ -17,6 +17,7 @@ pub(crate) mod accept;
 pub(crate) mod activity;
 pub(crate) mod body;
 pub(crate) mod compress;
+pub(crate) mod content;
 pub(crate) mod cors;
 pub(crate) mod decode;
 pub(crate) mod fields;

@@ -15,6 +15,7 @@ mod health;
 mod incoming;
 mod outgoing;
 mod start;
+mod tiles;
 mod upsample;
 
 use std::convert::Infallible;

@@ -9,7 +9,7 @@ use tokio::task::spawn_blocking;
 use super::start::Columns;
 use super::{CHUNK, LARGEST_CHUNK};
 use crate::http::download::{self, Dense};
-use crate::http::upsample::Done;
+use crate::http::upsample::{About, Done};
 use crate::problem::Problem;
 use crate::proto::upsample_response::Message;
 use crate::proto::{PointChunk, Progress, ResultHeader, UpsampleResponse};
@@ -36,14 +36,7 @@ pub(super) fn progress(progress: densecloud_engine::Progress) -> UpsampleRespons
 pub(super) fn messages(done: Done, as_points: bool) -> Messages {
     let Done { dense, held, format, about, .. } = done;
     let columns = as_points.then(|| Columns::of(about.points_out, scalar(format), &dense.attributes));
-    let header = ResultHeader {
-        points_in: about.points_in,
-        points_out: about.points_out,
-        media_type: if as_points { String::new() } else { about.media_type },
-        layout: columns.as_ref().map(Columns::layout),
-        provenance: about.provenance,
-        warnings: about.warnings,
-    };
+    let header = header(about, columns.as_ref());
     let chunks = match columns {
         None => file(download::body(dense, format, held)),
         Some(columns) => {
@@ -56,26 +49,37 @@ pub(super) fn messages(done: Done, as_points: bool) -> Messages {
             chunks.boxed()
         }
     };
-    stream::once(async { Ok(message(Message::Header(header))) }).chain(chunks).boxed()
+    stream::once(async { Ok(header) }).chain(chunks).boxed()
+}
+
+/// What is told before the points, which come in columns or else in a file.
+pub(super) fn header(about: About, columns: Option<&Columns>) -> UpsampleResponse {
+    message(Message::Header(ResultHeader {
+        points_in: about.points_in,
+        points_out: about.points_out,
+        media_type: if columns.is_some() { String::new() } else { about.media_type },
+        layout: columns.map(Columns::layout),
+        provenance: about.provenance,
+        warnings: about.warnings,
+    }))
 }
 
 /// A file's blocks, of which those of points with many attributes may be larger than a chunk.
 fn file(body: axum::body::Body) -> Messages {
     let blocks = body.into_data_stream().map_err(|error| Problem::Internal(error.to_string()));
-    blocks
-        .map_ok(|mut block: Bytes| {
-            let pieces = std::iter::from_fn(move || {
-                let piece = block.split_to(block.len().min(LARGEST_CHUNK));
-                (!piece.is_empty()).then(|| Ok(message(Message::FileChunk(piece))))
-            });
-            stream::iter(pieces)
-        })
-        .try_flatten()
-        .boxed()
+    blocks.map_ok(|block: Bytes| stream::iter(pieces(block).map(Ok))).try_flatten().boxed()
+}
+
+/// The chunks of a block of a file.
+pub(super) fn pieces(mut block: Bytes) -> impl Iterator<Item = UpsampleResponse> {
+    std::iter::from_fn(move || {
+        let piece = block.split_to(block.len().min(LARGEST_CHUNK));
+        (!piece.is_empty()).then(|| message(Message::FileChunk(piece)))
+    })
 }
 
 /// The type of the coordinates of a result that comes as points.
-fn scalar(format: Format) -> Scalar {
+pub(super) fn scalar(format: Format) -> Scalar {
     match format {
         Format::Npy { scalar, .. } => scalar,
         _ => Scalar::F64,
@@ -83,16 +87,16 @@ fn scalar(format: Format) -> Scalar {
 }
 
 /// Points on their way.
-struct Points {
-    dense: Dense,
-    columns: Columns,
+pub(super) struct Points {
+    pub(super) dense: Dense,
+    pub(super) columns: Columns,
     /// The first that is not yet sent.
-    next: usize,
+    pub(super) next: usize,
 }
 
 impl Points {
     /// The next ones, or nothing after the last.
-    fn chunk(&mut self) -> Result<Option<PointChunk>, Problem> {
+    pub(super) fn chunk(&mut self) -> Result<Option<PointChunk>, Problem> {
         let Dense { positions, attributes, .. } = &self.dense;
         let rows = (CHUNK / self.columns.stride()).max(1);
         let range = self.next..positions.len().min(self.next + rows);

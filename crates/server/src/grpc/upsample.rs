@@ -13,19 +13,20 @@ use tonic::{Request, Response, Status, Streaming};
 
 use super::outgoing::{self, Messages};
 use super::start::Start;
-use super::{MESSAGE, incoming};
+use super::{MESSAGE, incoming, tiles};
 use crate::admission::deadline::Deadline;
 use crate::admission::guess;
 use crate::admission::ticket::Ticket;
 use crate::app::App;
 use crate::connection::record::{Early, Ongoing};
 use crate::connection::request_id::RequestId;
+use crate::http::asked::{self, Asked, Begun, Following, cost, unread};
 use crate::http::upload::Upload;
-use crate::http::upsample;
 use crate::problem::Problem;
 use crate::proto::upsampler_server::Upsampler;
 use crate::proto::{UpsampleRequest, UpsampleResponse};
-use densecloud_engine::{Client, ProgressHandle};
+use densecloud_engine::Client;
+use densecloud_formats::Header;
 
 /// How often progress is told.
 const TICK: Duration = Duration::from_millis(250);
@@ -154,35 +155,40 @@ impl Call {
         let start = timeout(stall, incoming::start(&mut messages)).await;
         let start = start.unwrap_or(Err(Problem::UploadStalled { limit: stall }))?;
         let Start { options, as_points, columns } = Start::read(start, app)?;
-        let mut known = |points| ticket.reserve(points, options.points_out(points));
+        let mut known = |header: &Header| ticket.reserve(cost(&options, header));
         if let Some(columns) = &columns {
-            known(columns.points)?;
+            known(&unread(columns.points))?;
         }
         // Of the HTTP body's own headers, none mean anything here.
         let none = HeaderMap::new();
         let mut upload = Upload::new(&none, incoming::body(messages, columns));
         let received = upload.receive(&none, app, &options.reading, known).await?;
         drop(half);
-        let guess = guess::of_file(received.bytes());
-        ticket.guess(guess, options.points_out(guess))?;
-        let arrived = (received.bytes().len(), received.took);
-        let read = move |app: &App| Ok((upsample::UpsampleRequest::read(app, &received, options)?, ()));
+        ticket.guess(cost(&options, &unread(guess::of_file(received.head(), received.length()))))?;
+        let arrived = (received.length(), received.took);
+        let read = move |app: &App| Asked::read(app, received, options);
         let (sender, begun) = oneshot::channel();
-        let work = upsample::run(app, ticket, arrived, read, |job| {
-            // Nobody listens where the work is over.
-            let _ = sender.send(job.progress_handle());
-        });
-        let (done, ()) = tokio::select! {
-            done = work => done?,
+        let result = async {
+            let begun = asked::begin(app, ticket, arrived, read, |following| {
+                // Nobody listens where the work is over.
+                let _ = sender.send(following);
+            });
+            match begun.await? {
+                Begun::Whole(done) => Ok((done.points(), outgoing::messages(*done, as_points))),
+                Begun::Tiled(tiled) => tiles::messages(app, tiled, as_points).await,
+            }
+        };
+        let (points, messages) = tokio::select! {
+            result = result => result?,
             never = tell(begun, items) => match never {},
         };
-        self.ongoing.points(done.points());
-        Ok(outgoing::messages(done, as_points))
+        self.ongoing.points(points);
+        Ok(messages)
     }
 }
 
 /// Tells how far the job is, as long as there is room for that.
-async fn tell(begun: oneshot::Receiver<ProgressHandle>, items: &Items) -> Infallible {
+async fn tell(begun: oneshot::Receiver<Following>, items: &Items) -> Infallible {
     let Ok(job) = begun.await else { return std::future::pending().await };
     let mut ticks = interval(TICK);
     ticks.set_missed_tick_behavior(MissedTickBehavior::Skip);

@@ -5,12 +5,15 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use axum::http::{HeaderMap, Uri, header};
 use densecloud::{Options, Parameter};
-use densecloud_formats::Reading;
+use densecloud_engine::Cost;
+use densecloud_formats::{Header, Reading};
+use densecloud_tiles::TILE_POINTS;
 use futures::stream;
 use multer::{Field, Multipart};
 
 use crate::app::App;
 use crate::connection::decode::Coding;
+use crate::http::asked::cost;
 use crate::http::upload::{Arrival, HeaderCheck, Received, Upload};
 use crate::http::{filename, query};
 use crate::problem::Problem;
@@ -30,7 +33,7 @@ const CLOUD: &str = "cloud";
 const BESIDE: u64 = 1 << 20;
 
 impl Asking {
-    /// Receives a request: a query and a cloud, or a form. `known` hears the points in and out as soon as the cloud's header
+    /// Receives a request: a query and a cloud, or a form. `known` hears the cost as soon as the cloud's header
     /// tells them, where it does; of a form whose parameters are yet to come, the fewest that may come out.
     ///
     /// # Errors
@@ -40,13 +43,13 @@ impl Asking {
         uri: &Uri,
         headers: &HeaderMap,
         app: &App,
-        mut known: impl FnMut(u64, u64) -> Result<(), Problem>,
+        mut known: impl FnMut(Cost) -> Result<(), Problem>,
     ) -> Result<Self, Problem> {
         if let Some(kind) = form(headers) {
             return Self::receive_form(upload, uri, headers, &kind, app, known).await;
         }
         let options = query::options(uri)?;
-        let known = |points| known(points, options.points_out(points));
+        let known = |header: &Header| known(cost(&options, header));
         let received = upload.receive_file(headers, app, &options.reading, known).await?;
         Ok(Self { options, received, name: None })
     }
@@ -57,7 +60,7 @@ impl Asking {
         headers: &HeaderMap,
         kind: &str,
         app: &App,
-        mut known: impl FnMut(u64, u64) -> Result<(), Problem>,
+        mut known: impl FnMut(Cost) -> Result<(), Problem>,
     ) -> Result<Self, Problem> {
         let boundary = multer::parse_boundary(kind).map_err(malformed)?;
         if Coding::of(headers)? != Coding::Identity {
@@ -92,7 +95,7 @@ impl Asking {
                 }
                 let cloud = receive_file(field, &pairs, &beside, app, &mut known).await?;
                 // As browsers send it where no file was chosen.
-                if file.as_deref() != Some("") || !cloud.bytes().is_empty() {
+                if file.as_deref() != Some("") || cloud.length() > 0 {
                     (received, stem) = (Some(cloud), file.as_deref().and_then(filename::stem));
                 }
             } else {
@@ -144,17 +147,19 @@ async fn receive_file(
     pairs: &[(String, String)],
     beside: &AtomicU64,
     app: &App,
-    mut known: impl FnMut(u64, u64) -> Result<(), Problem>,
+    mut known: impl FnMut(Cost) -> Result<(), Problem>,
 ) -> Result<Received, Problem> {
     // Parameters that follow the file are judged when they come.
     let options = query::options_of(pairs).ok();
     // A field that says how the file is read may follow it, too.
     let reading =
         options.as_ref().map(|options| &options.reading).filter(|reading| **reading != Reading::default());
-    let mut check = HeaderCheck::new(app, reading, |points| {
-        known(points, options.as_ref().map_or(points, |options| options.points_out(points)))
+    let mut check = HeaderCheck::new(app, reading, |header: &Header| {
+        let points = header.points.unwrap_or_default();
+        let least = Cost::new(points, points).in_parts(TILE_POINTS);
+        known(options.as_ref().map_or(least, |options| cost(options, header)))
     });
-    let mut arrival = Arrival::begin(Coding::of(field.headers())?, app)?;
+    let mut arrival = Arrival::begin(Coding::of(field.headers())?, Some(&app.config.temp_dir()), app)?;
     while let Some(piece) = field.chunk().await.map_err(malformed)? {
         beside.fetch_sub(piece.len() as u64, Ordering::Relaxed);
         arrival = arrival.add(piece, |bytes, new| check.judge(bytes, new)).await?;

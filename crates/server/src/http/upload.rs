@@ -1,5 +1,7 @@
-//! Receiving a request's body: into memory, under limits, refused as soon as its header is there.
+//! Receiving a request's body: into memory or, where it is long, to the disk, under limits, refused as soon as its header
+//! is there.
 
+use std::path::Path;
 use std::time::{Duration, Instant};
 
 use axum::body::{Body, Bytes, HttpBody};
@@ -9,10 +11,11 @@ use tokio::time::timeout;
 
 use crate::admission::budget::Held;
 use crate::app::App;
+use crate::connection::content::{Arriving, Content};
 use crate::connection::decode::{Coding, DecodeError, Decoder};
 use crate::problem::Problem;
-use densecloud_cloud::Cloud;
-use densecloud_formats::{CloudReader, FirstBytes, Format, FormatError, Limits, Reading};
+use crate::tiled::Open;
+use densecloud_formats::{CloudReader, FirstBytes, FormatError, Header, Limits, Reading};
 
 /// A body that arrives, or is given up politely.
 pub(crate) struct Upload {
@@ -30,9 +33,9 @@ pub(crate) struct Upload {
 /// A body that has arrived.
 #[derive(Debug)]
 pub(crate) struct Received {
-    bytes: Vec<u8>,
-    // Given back with the bytes, wherever these are dropped.
-    _held: Held,
+    content: Content,
+    // Given back with the content, wherever that is dropped.
+    held: [Held; 2],
     /// How long it took to arrive.
     pub(crate) took: Duration,
 }
@@ -61,7 +64,7 @@ impl Upload {
         headers: &HeaderMap,
         app: &App,
         reading: &Reading,
-        known: impl FnMut(u64) -> Result<(), Problem>,
+        known: impl FnMut(&Header) -> Result<(), Problem>,
     ) -> Result<Received, Problem> {
         match self.receive(headers, app, reading, known).await {
             Ok(_) | Err(Problem::UnsupportedFormat(_) | Problem::Malformed(_) | Problem::Interrupted(_))
@@ -85,24 +88,34 @@ impl Upload {
         headers: &HeaderMap,
         app: &App,
         reading: &Reading,
-        known: impl FnMut(u64) -> Result<(), Problem>,
+        known: impl FnMut(&Header) -> Result<(), Problem>,
     ) -> Result<Received, Problem> {
         let mut check = HeaderCheck::new(app, Some(reading), known);
         let judge = |bytes: &[u8], new| check.judge(bytes, new);
-        self.receive_judged(headers, app, judge).await
+        self.receive_into(Some(&app.config.temp_dir()), headers, app, judge).await
     }
 
-    /// As [`Upload::receive`], for what is not a file: after each piece, `judge` is shown all that has
+    /// As [`Upload::receive`], for what is not a file and stays in memory: after each piece, `judge` is shown all that has
     /// arrived, and how much of it is new.
     pub(crate) async fn receive_judged(
         &mut self,
+        headers: &HeaderMap,
+        app: &App,
+        judge: impl FnMut(&[u8], usize) -> Result<(), Problem>,
+    ) -> Result<Received, Problem> {
+        self.receive_into(None, headers, app, judge).await
+    }
+
+    async fn receive_into(
+        &mut self,
+        temp: Option<&Path>,
         headers: &HeaderMap,
         app: &App,
         mut judge: impl FnMut(&[u8], usize) -> Result<(), Problem>,
     ) -> Result<Received, Problem> {
         let coding = Coding::of(headers)?;
         self.check_length(app.config.limits.body_bytes, app)?;
-        let mut arrival = Arrival::begin(coding, app)?;
+        let mut arrival = Arrival::begin(coding, temp, app)?;
         while let Some(chunk) = self.next(app.config.timeouts.stall).await? {
             arrival = arrival.add(chunk, &mut judge).await?;
         }
@@ -192,14 +205,18 @@ pub(crate) struct Arrival<'a> {
 
 impl<'a> Arrival<'a> {
     /// Of a cloud that is compressed like this.
-    pub(crate) fn begin(coding: Coding, app: &'a App) -> Result<Self, Problem> {
+    ///
+    /// What is long goes to a file in the folder `temp`, if there is one.
+    pub(crate) fn begin(coding: Coding, temp: Option<&Path>, app: &'a App) -> Result<Self, Problem> {
         let held = app.budget.hold(0).ok_or_else(|| app.held_full())?;
-        let decoder = Decoder::new(coding, held, app.config.limits.body_bytes);
+        let on_disk = app.disk.hold(0).ok_or_else(|| app.disk_full())?;
+        let limit = app.config.limits.body_bytes;
+        let decoder = Decoder::new(coding, Arriving::new(temp), [held, on_disk], limit);
         let decoder = decoder.map_err(|refusal| refused(app, refusal))?;
         Ok(Self { app, decoder, sent: 0, start: Instant::now() })
     }
 
-    /// Takes a piece, and shows `judge` all that has arrived, and how much of it is new.
+    /// Takes a piece, and shows `judge` all that has arrived, or the beginning of that, and how much of it is new.
     pub(crate) async fn add(
         self,
         piece: Bytes,
@@ -211,15 +228,18 @@ impl<'a> Arrival<'a> {
         if sent > app.config.limits.body_bytes {
             return Err(refused(app, DecodeError::TooLarge));
         }
-        let before = decoder.bytes().len();
+        let before = decoder.head().len();
         let decoder = decoder.add(piece).await.map_err(|refusal| refused(app, refusal))?;
-        judge(decoder.bytes(), decoder.bytes().len() - before)?;
+        let new = decoder.head().len() - before;
+        if new > 0 {
+            judge(decoder.head(), new)?;
+        }
         Ok(Self { app, decoder, sent, start })
     }
 
     pub(crate) fn finish(self) -> Result<Received, Problem> {
-        let (bytes, held) = self.decoder.finish().map_err(|refusal| refused(self.app, refusal))?;
-        Ok(Received { bytes, _held: held, took: self.start.elapsed() })
+        let (content, held) = self.decoder.finish().map_err(|refusal| refused(self.app, refusal))?;
+        Ok(Received { content, held, took: self.start.elapsed() })
     }
 }
 
@@ -227,37 +247,42 @@ fn refused(app: &App, refusal: DecodeError) -> Problem {
     match refusal {
         DecodeError::TooLarge => Problem::BodyTooLarge { limit: app.config.limits.body_bytes },
         DecodeError::NoRoom => app.held_full(),
+        DecodeError::NoDisk => app.disk_full(),
+        DecodeError::Disk(kind, why) => Problem::of_temp(kind, why),
         DecodeError::Broken(why) => Problem::Interrupted(why),
     }
 }
 
 impl Received {
-    pub(crate) fn bytes(&self) -> &[u8] {
-        &self.bytes
+    /// What arrived, or, where that is long, the beginning of it.
+    pub(crate) fn head(&self) -> &[u8] {
+        self.content.head()
     }
 
-    /// A body that arrived earlier.
-    pub(crate) fn kept(bytes: Vec<u8>, held: Held) -> Self {
-        Self { bytes, _held: held, took: Duration::ZERO }
+    pub(crate) fn length(&self) -> u64 {
+        self.content.length()
     }
 
-    /// The body as it arrived, and its share of the memory.
-    pub(crate) fn into_parts(self) -> (Vec<u8>, Held) {
-        (self.bytes, self._held)
+    pub(crate) fn content(&self) -> &Content {
+        &self.content
     }
 
-    /// Reads the cloud as is asked, and the format it came in. Blocking work: O(bytes).
+    /// Begins to read the cloud as is asked.
     ///
     /// # Errors
     /// What [`CloudReader`] gives, as problems.
-    pub(crate) fn parse(&self, app: &App, reading: &Reading) -> Result<(Cloud, Format), Problem> {
-        let reader = CloudReader::open_as(&self.bytes[..], reader_limits(app), reading)?;
-        let format = reader.header().format.written();
-        Ok((reader.read()?, format))
+    pub(crate) fn open(&self, app: &App, reading: &Reading) -> Result<CloudReader<'static>, Problem> {
+        Ok(self.content.open(reader_limits(app), reading)?)
+    }
+
+    /// What opens it later, and its shares of memory and disk, to be kept for as long as it is read.
+    pub(crate) fn into_opener(self) -> (Box<Open>, [Held; 2]) {
+        let Self { content, held, .. } = self;
+        (Box::new(move |limits, reading| content.open(limits, reading)), held)
     }
 }
 
-fn reader_limits(app: &App) -> Limits {
+pub(crate) fn reader_limits(app: &App) -> Limits {
     let limits = &app.config.limits;
     Limits { max_bytes: Some(limits.body_bytes), max_points: Some(limits.points_in) }
 }
@@ -268,12 +293,12 @@ pub(crate) struct HeaderCheck<'a, F> {
     app: &'a App,
     /// How the file will be read, unless that is yet to come.
     reading: Option<&'a Reading>,
-    /// Is told the points in.
+    /// Is shown the header where that tells how many points there are.
     known: F,
     done: bool,
 }
 
-impl<'a, F: FnMut(u64) -> Result<(), Problem>> HeaderCheck<'a, F> {
+impl<'a, F: FnMut(&Header) -> Result<(), Problem>> HeaderCheck<'a, F> {
     pub(crate) fn new(app: &'a App, reading: Option<&'a Reading>, known: F) -> Self {
         Self { app, reading, known, done: false }
     }
@@ -292,7 +317,8 @@ impl<'a, F: FnMut(u64) -> Result<(), Problem>> HeaderCheck<'a, F> {
         match CloudReader::open_as(bytes, reader_limits(self.app), self.reading.unwrap_or(&unread)) {
             // What is asked for later may be another format.
             Err(FormatError::Unrecognised { .. }) if self.reading.is_none() => Ok(()),
-            Ok(reader) => reader.header().points.map_or(Ok(()), &mut self.known),
+            Ok(reader) if reader.header().points.is_some() => (self.known)(reader.header()),
+            Ok(_) => Ok(()),
             // Only the whole of it can be judged.
             Err(FormatError::Malformed { .. } | FormatError::Truncated { .. } | FormatError::Empty(_))
                 if first == FirstBytes::CutOff =>

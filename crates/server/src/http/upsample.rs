@@ -1,13 +1,12 @@
 //! `POST /upsample`: a cloud in, a dense cloud out, in the format of the input or one that `Accept` names.
 
-use std::fmt::Write;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use axum::Extension;
 use axum::body::Body;
 use axum::extract::State;
-use axum::http::{HeaderMap, HeaderValue, Uri, header};
+use axum::http::{HeaderMap, HeaderValue, Uri, Version, header};
 use axum::response::{IntoResponse, Response};
 use serde::{Deserialize, Serialize};
 use tokio::task::spawn_blocking;
@@ -19,11 +18,14 @@ use crate::app::App;
 use crate::connection::compress::AsIs;
 use crate::connection::record::Points;
 use crate::http::accepted::accepted;
+use crate::http::asked::{Asked, Begun, begin, cost, unread};
 use crate::http::download::{self, Dense, file_bytes, result_bytes};
 use crate::http::filename;
 use crate::http::form::Asking;
-use crate::http::upload::{Received, Upload};
+use crate::http::upload::Upload;
 use crate::problem::Problem;
+use crate::tiled::body::{Framing, Sent, TRAILERS};
+use crate::tiled::{self, Tiled};
 use densecloud::survey::Goal;
 use densecloud::{Options, Prepared, Report};
 use densecloud_cloud::Cloud;
@@ -35,15 +37,17 @@ use densecloud_formats::Format;
 pub(crate) async fn upsample(
     State(app): State<Arc<App>>,
     Extension(client): Extension<Client>,
+    version: Version,
     uri: Uri,
     headers: HeaderMap,
     body: Body,
 ) -> Result<Response, Problem> {
     let mut upload = Upload::new(&headers, body);
+    let framing = Framing::of(version, &headers);
     let answer = match Ticket::new(&app, client, &headers) {
         Ok(ticket) => {
             let deadline = ticket.deadline.clone();
-            deadline.run(answer(&app, ticket, &uri, &headers, &mut upload)).await
+            deadline.run(answer(&app, ticket, (&uri, &headers, framing), &mut upload)).await
         }
         Err(problem) => Err(problem),
     };
@@ -54,36 +58,68 @@ pub(crate) async fn upsample(
 async fn answer(
     app: &Arc<App>,
     mut ticket: Ticket,
-    uri: &Uri,
-    headers: &HeaderMap,
+    (uri, headers, framing): (&Uri, &HeaderMap, Framing),
     upload: &mut Upload,
 ) -> Result<Response, Problem> {
     let wanted = accepted(headers)?;
     ticket.check()?;
     ticket.deadline.enter("of upload");
-    let known = |points_in, points_out| ticket.reserve(points_in, points_out);
+    let known = |cost| ticket.reserve(cost);
     let Asking { mut options, received, name } = Asking::receive(upload, uri, headers, app, known).await?;
     options.format = wanted;
-    let guess = guess::of_file(received.bytes());
-    ticket.guess(guess, options.points_out(guess))?;
-    let arrived = (received.bytes().len(), received.took);
-    let read = move |app: &App| Ok((UpsampleRequest::read(app, &received, options)?, ()));
-    let (mut done, ()) = run(app, ticket, arrived, read, |_| {}).await?;
+    ticket.guess(cost(&options, &unread(guess::of_file(received.head(), received.length()))))?;
+    let arrived = (received.length(), received.took);
+    let read = move |app: &App| Asked::read(app, received, options);
+    match begin(app, ticket, arrived, read, |_| {}).await? {
+        Begun::Whole(done) => Ok(whole(*done, name)),
+        Begun::Tiled(tiled) => in_tiles(app, tiled, framing, name).await,
+    }
+}
+
+/// The answer of a result that is there.
+fn whole(mut done: Done, name: Option<String>) -> Response {
     done.about.name = name;
     let points = done.points();
     let length = done.format.encoded_len(points.made, &done.dense.attributes, &done.dense.origin);
-    let mut headers = done.headers();
-    headers.insert(header::CONTENT_DISPOSITION, done.about.disposition());
+    let headers = done.headers();
+    let about = done.about.clone();
+    response(&about, headers, points, length, download::body(done.dense, done.format, done.held))
+}
+
+/// The answer of a cloud in tiles, which begins with the first part that is final.
+async fn in_tiles(
+    app: &Arc<App>,
+    tiled: Tiled,
+    framing: Framing,
+    name: Option<String>,
+) -> Result<Response, Problem> {
+    let Sent { report, body, length, has_trailers } = tiled::body::sent(app, tiled, framing).await?;
+    let about = About { name, ..About::of(&report) };
+    let mut headers = HeaderMap::new();
+    about.tell(&mut headers);
+    if has_trailers {
+        headers.insert(header::TRAILER, HeaderValue::from_static(TRAILERS));
+    }
+    let points = Points { read: report.points_in, made: report.points_out };
+    Ok(response(&about, headers, points, length, body))
+}
+
+fn response(
+    about: &About,
+    mut headers: HeaderMap,
+    points: Points,
+    length: Option<u64>,
+    body: Body,
+) -> Response {
+    headers.insert(header::CONTENT_DISPOSITION, about.disposition());
     if let Some(length) = length {
         headers.insert(header::CONTENT_LENGTH, length.into());
     }
-    let packed = done.about.packed;
-    let body = download::body(done.dense, done.format, done.held);
     let mut response = (headers, Extension(points), body).into_response();
-    if packed {
+    if about.packed {
         response.extensions_mut().insert(AsIs);
     }
-    Ok(response)
+    response
 }
 
 /// A cloud, and what is wanted of it.
@@ -92,14 +128,6 @@ pub(crate) struct UpsampleRequest {
     /// What it came in.
     pub(crate) input: Format,
     pub(crate) options: Options,
-}
-
-impl UpsampleRequest {
-    /// Blocking work: parses the body.
-    pub(crate) fn read(app: &App, received: &Received, options: Options) -> Result<Self, Problem> {
-        let (cloud, input) = received.parse(app, &options.reading)?;
-        Ok(Self { cloud, input, options })
-    }
 }
 
 /// A finished result, and what its receiver is told beside it.
@@ -116,7 +144,7 @@ impl Done {
     pub(crate) fn headers(&self) -> HeaderMap {
         let mut headers = HeaderMap::new();
         self.about.tell(&mut headers);
-        headers.insert("server-timing", visible(&self.timing.text));
+        headers.insert("server-timing", visible(&timing(&self.timing.stages)));
         headers
     }
 
@@ -131,33 +159,52 @@ impl Done {
 }
 
 /// Runs one request: parses the body with `read` on a blocking thread, queues it under `ticket`, and awaits the result.
-/// What else `read` gives comes back with the result. `bytes` and `upload` are the body's size and how long it took to
-/// arrive; `begun` is shown the job when the engine has taken it.
+/// What else `read` gives comes back with the result. `arrived` are the body's size and how long it took to
+/// arrive.
 pub(crate) async fn run<T: Send + 'static>(
     app: &Arc<App>,
     ticket: Ticket,
-    (bytes, upload): (usize, Duration),
+    arrived: (u64, Duration),
     read: impl FnOnce(&App) -> Result<(UpsampleRequest, T), Problem> + Send + 'static,
-    begun: impl FnOnce(&Pending),
 ) -> Result<(Done, T), Problem> {
+    let (ticket, (request, rest), timing) = parse(app, ticket, arrived, read).await?;
+    Ok((work(app, ticket, request, timing, |_| {}).await?, rest))
+}
+
+/// Waits for a turn, and reads the body.
+pub(crate) async fn parse<T: Send + 'static>(
+    app: &Arc<App>,
+    ticket: Ticket,
+    (bytes, upload): (u64, Duration),
+    read: impl FnOnce(&App) -> Result<T, Problem> + Send + 'static,
+) -> Result<(Ticket, T, Timing), Problem> {
     let mut timing = Timing::default();
     timing.add(app, "upload", upload);
     let start = Instant::now();
-    let deadline = ticket.deadline.clone();
     ticket.arrived();
-    deadline.enter("of parsing");
-    let turn = app.parsing.turn(ticket.client(), bytes as u64).await;
-    let submit = {
-        let app = Arc::clone(app);
-        spawn_blocking(move || {
-            let (request, rest) = read(&app)?;
-            drop(turn);
-            Ok::<_, Problem>((submit(&app, ticket, request)?, rest))
-        })
-    };
-    let (submitted, rest) = submit.await.map_err(|error| Problem::Internal(error.to_string()))??;
+    ticket.deadline.enter("of parsing");
+    let turn = app.parsing.turn(ticket.client(), bytes).await;
+    let shared = Arc::clone(app);
+    let parsed = spawn_blocking(move || {
+        let _turn = turn;
+        read(&shared)
+    });
+    let parsed = parsed.await.map_err(|error| Problem::Internal(error.to_string()))??;
     timing.add(app, "parse", start.elapsed());
-    let start = Instant::now();
+    Ok((ticket, parsed, timing))
+}
+
+/// Queues a request, and awaits its result; `begun` is shown the job when the engine has taken it.
+pub(crate) async fn work(
+    app: &Arc<App>,
+    ticket: Ticket,
+    request: UpsampleRequest,
+    mut timing: Timing,
+    begun: impl FnOnce(&Pending),
+) -> Result<Done, Problem> {
+    let (start, deadline, shared) = (Instant::now(), ticket.deadline.clone(), Arc::clone(app));
+    let submitted = spawn_blocking(move || submit(&shared, ticket, request));
+    let submitted = submitted.await.map_err(|error| Problem::Internal(error.to_string()))??;
     let Submitted { job, held, mut report } = submitted;
     begun(&job);
     let outcome = job.await.map_err(|error| match error {
@@ -175,7 +222,7 @@ pub(crate) async fn run<T: Send + 'static>(
     let about = About::of(&report);
     let Report { format, origin, .. } = report;
     let dense = Dense { positions: outcome.made.positions, attributes: outcome.made.attributes, origin };
-    Ok((Done { dense, held, format, about, timing }, rest))
+    Ok(Done { dense, held, format, about, timing })
 }
 
 /// What the headers of an answer tell of a result.
@@ -277,26 +324,28 @@ pub(crate) fn prepare(app: &App, request: UpsampleRequest) -> Result<(Prepared, 
 const LONGEST: usize = 1000;
 
 /// Text as a header's value: visible ASCII, `?` for the rest, cut where it is too long.
-fn visible(text: &str) -> HeaderValue {
+pub(crate) fn visible(text: &str) -> HeaderValue {
     let plain: String =
         text.chars().take(LONGEST).map(|c| if c.is_ascii_graphic() || c == ' ' { c } else { '?' }).collect();
     HeaderValue::from_str(&plain).unwrap_or(HeaderValue::from_static("?"))
 }
 
+/// The value of `Server-Timing` for stages that took so long.
+pub(crate) fn timing(stages: &[(&'static str, Duration)]) -> String {
+    let one = |(stage, took): &(&str, Duration)| format!("{stage};dur={:.1}", took.as_secs_f64() * 1000.0);
+    stages.iter().map(one).collect::<Vec<_>>().join(", ")
+}
+
 /// How long each part took, for `/metrics` and for the `Server-Timing` header, which browsers show.
 #[derive(Default)]
-struct Timing {
+pub(crate) struct Timing {
     stages: Vec<(&'static str, Duration)>,
-    text: String,
 }
 
 impl Timing {
     fn add(&mut self, app: &App, stage: &'static str, took: Duration) {
         app.metrics.stage(stage, took);
         self.stages.push((stage, took));
-        let comma = if self.text.is_empty() { "" } else { ", " };
-        // Writing into a string cannot fail.
-        let _ = write!(self.text, "{comma}{stage};dur={:.1}", took.as_secs_f64() * 1000.0);
     }
 }
 

@@ -36,7 +36,7 @@ use crate::route::{Route, get, post};
 use bounded::Parameters;
 use densecloud::{Options, PARAMETERS, Parameter, Topic};
 use densecloud_cloud::Cloud;
-use densecloud_engine::Client;
+use densecloud_engine::{Client, Cost};
 use densecloud_formats::{Format, Scalar};
 #[cfg(test)]
 pub(crate) use request::HINTS;
@@ -166,12 +166,12 @@ async fn answer(
     let received = upload.receive_judged(headers, app, judge).await?;
     if expected.is_none() {
         // All of it is JSON, and what is wanted is in there, too: no fewer points than come.
-        let guess = guess::of_json(received.bytes());
-        ticket.guess(guess, guess)?;
+        let guess = guess::of_json(received.head());
+        ticket.guess(Cost::new(guess, guess))?;
     }
-    let arrived = (received.bytes().len(), received.took);
+    let arrived = (received.length(), received.took);
     let read = move |app: &App| {
-        let (json, binary) = split(received.bytes(), header)?;
+        let (json, binary) = split(received.head(), header)?;
         let (plain, _held);
         let request = match read(json) {
             Err(problem @ Problem::MalformedRequest(_)) => {
@@ -190,7 +190,7 @@ async fn answer(
         // To the rest, a tensor is a NumPy array.
         Ok((UpsampleRequest { cloud, input, options }, reply))
     };
-    let (mut done, reply) = upsample::run(app, ticket, arrived, read, |_| {}).await?;
+    let (mut done, reply) = upsample::run(app, ticket, arrived, read).await?;
     if done.format != (Format::Npy { scalar: reply.datatype.scalar(), fields: false }) {
         let why = "FP32 is too coarse for these coordinates and this many points; send FP64";
         done.about.warnings.push(why.into());
@@ -218,7 +218,7 @@ fn header_length(headers: &HeaderMap) -> Result<Option<usize>, Problem> {
 /// Refuses from the JSON alone what could only be refused later; gives the bytes that the whole body has.
 fn judge(ticket: &mut Ticket, json: &[u8]) -> Result<u64, Problem> {
     let request = read(json)?;
-    ticket.reserve(request.points, request.options.points_out(request.points))?;
+    ticket.reserve(Cost::new(request.points, request.options.points_out(request.points)))?;
     Ok(json.len() as u64 + request.binary_bytes())
 }
 
@@ -272,7 +272,7 @@ impl Datatype {
 
 /// The parameters that a request may have: a tensor has no attributes, and is no file.
 pub(super) fn parameters() -> impl Iterator<Item = &'static Parameter> {
-    let about_files = [Topic::Attributes, Topic::Reading];
+    let about_files = [Topic::Attributes, Topic::Reading, Topic::Tiles];
     PARAMETERS.iter().filter(move |parameter| !about_files.contains(&parameter.topic))
 }
 

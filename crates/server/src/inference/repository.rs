@@ -29,7 +29,7 @@ pub(super) async fn index(
     let deadline = Deadline::new(None, app.config.timeouts.request);
     let received = deadline.run(upload.receive_judged(&headers, &app, |bytes, _| check_length(bytes))).await;
     upload.give_up();
-    let only = asks_for_ready(received?.bytes())?;
+    let only = asks_for_ready(received?.head())?;
     let (state, reason) = match app.readiness.probe() {
         Ok(()) => ("READY", String::new()),
         Err(problem @ Problem::WarmingUp) => ("LOADING", problem.to_string()),

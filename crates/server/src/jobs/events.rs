@@ -179,9 +179,9 @@ mod tests {
             points_in: 1,
             points_out: 4,
             result_bytes: 1,
-            input: b"1 2 3\n".to_vec(),
+            input: Arc::new(b"1 2 3\n".to_vec()),
         };
-        let draft = Draft::new(job);
+        let draft = Draft::new(job).expect("a draft");
         let Admitted::New(id) = jobs.store().admit(&draft).expect("room") else { panic!("no key") };
         let input = jobs.store().write_input(&id, &draft).expect("room");
         jobs.insert(&draft, input).expect("room");

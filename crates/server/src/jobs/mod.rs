@@ -2,6 +2,7 @@
 
 pub(crate) mod document;
 pub(crate) mod events;
+mod intake;
 pub(crate) mod result;
 pub(crate) mod work;
 
@@ -18,7 +19,6 @@ use serde::Serialize;
 use tokio::task::spawn_blocking;
 use tokio::time::timeout;
 
-use crate::admission::budget::Held;
 use crate::admission::deadline::Deadline;
 use crate::app::App;
 use crate::connection::prefix::Prefix;
@@ -26,11 +26,10 @@ use crate::connection::request_id::RequestId;
 use crate::http::accepted::accepted;
 use crate::http::form::Asking;
 use crate::http::query;
-use crate::http::upload::{Received, Upload};
-use crate::http::upsample::{UpsampleRequest, prepare};
+use crate::http::upload::Upload;
 use crate::jobs::document::Document;
+use crate::jobs::intake::new_job;
 use crate::problem::{Problem, SOON};
-use densecloud::Options;
 use densecloud_engine::{Client, Cost};
 use densecloud_jobs::{Admitted, Deleted, Draft, Jobs, Load, NewJob, Record, StoreError, Submitted};
 
@@ -152,9 +151,9 @@ async fn take(
         };
         ask(app, room).await?;
     }
-    let known = |points_in, points_out| {
-        app.check_points(points_in, points_out)?;
-        app.engine.check_memory(Cost { points_in, points_out }).map_err(Problem::Refused)
+    let known = |cost: Cost| {
+        app.check_points(cost.points_in, cost.points_out)?;
+        app.engine.check_memory(cost).map_err(Problem::Refused)
     };
     work::check_length(uri.query().unwrap_or_default())?;
     let Asking { mut options, received, name: stem } =
@@ -162,17 +161,17 @@ async fn take(
     options.format = wanted;
     let owner = app.config.access.owner(client).unwrap_or_default();
     let (name, id) = (client.name().to_owned(), id.as_str().to_owned());
-    let turn = app.parsing.turn(client, received.bytes().len() as u64).await;
+    let turn = app.parsing.turn(client, received.length()).await;
     let draft = blocking(app, turn, move |app| {
-        let (job, held) = new_job(app, received, options, stem)?;
+        let job = new_job(app, received, options, stem)?;
         let job = NewJob { key, owner, client: name, request_id: id, ..job };
-        Ok(Arc::new((Draft::new(job), held)))
+        let draft = Draft::new(job).map_err(|error| Problem::Internal(error.to_string()))?;
+        Ok(Arc::new(draft))
     })
     .await?;
     let (shared, new, of) = (Arc::clone(app), Arc::clone(&draft), client.clone());
-    let admit = move |jobs: &Arc<Jobs>| {
-        jobs.store().admit(&new.0).map_err(|error| refused(&shared, jobs, &of, error))
-    };
+    let admit =
+        move |jobs: &Arc<Jobs>| jobs.store().admit(&new).map_err(|error| refused(&shared, jobs, &of, error));
     let (submitted, document) = match ask(app, admit).await? {
         Admitted::Known(record) => {
             let (shared, known) = (Arc::clone(app), record.clone());
@@ -184,13 +183,13 @@ async fn take(
             let turn = Arc::clone(&app.writing).acquire_owned().await;
             let turn = turn.map_err(|error| Problem::Internal(error.to_string()))?;
             let input = blocking(app, turn, move |_| {
-                jobs.store().write_input(&id, &new.0).map_err(|error| StoreError::from(error).into())
+                jobs.store().write_input(&id, &new).map_err(|error| StoreError::from(error).into())
             });
             let input = input.await?;
             let (shared, of) = (Arc::clone(app), client.clone());
             ask(app, move |jobs| {
                 let submitted =
-                    jobs.insert(&draft.0, input).map_err(|error| refused(&shared, jobs, &of, error))?;
+                    jobs.insert(&draft, input).map_err(|error| refused(&shared, jobs, &of, error))?;
                 let (Submitted::New(record) | Submitted::Known(record)) = &submitted;
                 let document = Document::of(&shared, jobs, record)?;
                 Ok((submitted, document))
@@ -210,34 +209,6 @@ fn answer(status: StatusCode, document: Document, prefix: &Prefix) -> Result<Res
     let location = HeaderValue::from_str(&prefix.link(&format!("/jobs/{}", document.id)))
         .map_err(|error| Problem::Internal(error.to_string()))?;
     Ok((status, [(header::LOCATION, location)], Json(document.under(prefix))).into_response())
-}
-
-/// Blocking work: reads the cloud, only to know that it can be read, and makes a job of its file.
-fn new_job(
-    app: &App,
-    received: Received,
-    options: Options,
-    stem: Option<String>,
-) -> Result<(NewJob, Held), Problem> {
-    let request = work::text(&options, stem)?;
-    let (prepared, room) = prepare(app, UpsampleRequest::read(app, &received, options)?)?;
-    let finite = prepared.request.cloud.positions.iter().filter(|p| p.iter().all(|c| c.is_finite())).count();
-    let points_out = prepared.request.target.points_out(finite as u64)?;
-    let cost = Cost { points_in: finite as u64, points_out };
-    app.engine.check_memory(cost).map_err(Problem::Refused)?;
-    let (input, held) = received.into_parts();
-    let job = NewJob {
-        request,
-        key: None,
-        owner: String::new(),
-        client: String::new(),
-        request_id: String::new(),
-        points_in: prepared.report.points_in,
-        points_out,
-        result_bytes: room.file,
-        input,
-    };
-    Ok((job, held))
 }
 
 /// The longest key that is taken.

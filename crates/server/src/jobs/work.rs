@@ -1,6 +1,6 @@
 //! What a job is about: the work of `POST /upsample`, with a file for an answer.
 
-use std::io::{self, Read, Write};
+use std::io::{self, Read as _, Write};
 use std::sync::Arc;
 
 use axum::http::{HeaderMap, HeaderValue, header};
@@ -8,14 +8,17 @@ use serde::{Deserialize, Serialize};
 
 use crate::app::App;
 use crate::http::accepted::accepted;
+use crate::http::asked::{cost, unread};
 use crate::http::query;
-use crate::http::upload::Received;
+use crate::http::upload::reader_limits;
 use crate::http::upsample::{About, UpsampleRequest, prepare};
 use crate::problem::Problem;
+use crate::tiled::{Open, Steps, TiledRequest, overall};
 use densecloud::{Options, Prepared};
-use densecloud_engine::{Caller, Client, EngineError};
-use densecloud_formats::{FormatError, encode};
+use densecloud_engine::{Caller, Client, EngineError, Progress};
+use densecloud_formats::{CloudReader, FormatError, encode};
 use densecloud_jobs::{BlobReader, Record, Stopped, Task, Work};
+use densecloud_tiles::TilesError;
 
 /// Bytes of options at most: they are kept as long as the job is.
 const LONGEST: usize = 16 << 10;
@@ -91,52 +94,123 @@ impl Work for Upsampling {
     fn run(
         &self,
         job: &Record,
-        mut input: Box<dyn BlobReader>,
+        input: Box<dyn BlobReader>,
         task: &Task,
         sink: &mut dyn Write,
     ) -> Result<String, Stopped> {
         let app = &self.0;
-        let refused = |problem: Problem| refused(&problem, &job.request_id);
-        let (options, name) = kept(&job.request).map_err(refused)?;
+        let (options, name) = kept(&job.request).map_err(|problem| stopped(&problem, job))?;
         // It came under another limit. What is above this one might never find room.
         let limit = app.config.limits.body_bytes;
         let length = input.length()?;
         if length > limit {
-            return Err(refused(Problem::BodyTooLarge { limit }));
+            return Err(stopped(&Problem::BodyTooLarge { limit }, job));
         }
-        let held = app.budget.hold(length).ok_or(Stopped::Later)?;
-        let mut bytes = Vec::with_capacity(length as usize);
-        input.read_to_end(&mut bytes)?;
-        drop(input);
-        let received = Received::kept(bytes, held);
-        let request = UpsampleRequest::read(app, &received, options);
-        let prepared = request.and_then(|request| prepare(app, request)).map_err(refused)?;
-        drop(received);
-        let (Prepared { request, mut report }, room) = prepared;
-        let _held = app.budget.hold(room.memory).ok_or(Stopped::Later)?;
-        // Beside the same client's live requests: one that waits for these would hold up other clients' jobs.
-        let caller = Caller { client: Client::new(&format!("jobs of {}", job.client)), deadline: None };
-        let outcome = app.engine.submit_for(&caller, request, None).and_then(|job| task.wait(job)).map_err(
-            |error| match error {
-                // Live requests have the points; a job can wait.
-                EngineError::Refused(refusal) if refusal.retry_after().is_some() => Stopped::Later,
-                EngineError::Cancelled => Stopped::Cancelled,
-                error => refused(Problem::from_engine(error)),
-            },
-        )?;
-        app.metrics.worked(outcome.estimate, outcome.took);
-        report.complete(&outcome.made);
-        encode(sink, report.format, &outcome.made.positions, &outcome.made.attributes, &report.origin)
-            .map_err(|error| match error {
-                FormatError::Io(error) => Stopped::Storage(error),
-                error => refused(Problem::Internal(error.to_string())),
-            })?;
-        for (stage, took) in outcome.stages.iter() {
-            app.metrics.stage(stage.name(), took);
-        }
-        app.metrics.points(report.points_in, report.points_out);
-        serde_json::to_string(&About { name, ..About::of(&report) })
-            .map_err(|error| refused(Problem::Internal(error.to_string())))
+        let about = match options.tile_points.is_some_and(|most| job.points_in > most) {
+            true => tiles(app, job, (input, options), task, sink)?,
+            false => whole(app, job, (input, length, options), task, sink)?,
+        };
+        serde_json::to_string(&About { name, ..about })
+            .map_err(|error| stopped(&Problem::Internal(error.to_string()), job))
+    }
+}
+
+/// Beside the same client's live requests: one that waits for these would hold up other clients' jobs.
+fn caller(job: &Record) -> Caller {
+    Caller { client: Client::new(&format!("jobs of {}", job.client)), deadline: None }
+}
+
+/// A cloud that is worked on as a whole.
+fn whole(
+    app: &App,
+    job: &Record,
+    (mut input, length, options): (Box<dyn BlobReader>, u64, Options),
+    task: &Task,
+    sink: &mut dyn Write,
+) -> Result<About, Stopped> {
+    let failed = |problem: Problem| stopped(&problem, job);
+    let held = app.budget.hold(length).ok_or(Stopped::Later)?;
+    let mut bytes = Vec::with_capacity(length as usize);
+    input.read_to_end(&mut bytes)?;
+    drop(input);
+    let reader = CloudReader::open_as(&bytes[..], reader_limits(app), &options.reading);
+    let reader = reader.map_err(|error| failed(error.into()))?;
+    let input = reader.header().format.written();
+    let cloud = reader.read().map_err(|error| failed(error.into()))?;
+    drop((bytes, held));
+    let (prepared, room) = prepare(app, UpsampleRequest { cloud, input, options }).map_err(failed)?;
+    let Prepared { request, mut report } = prepared;
+    let _held = app.budget.hold(room.memory).ok_or(Stopped::Later)?;
+    let submitted = app.engine.submit_for(&caller(job), request, None);
+    let outcome = submitted.and_then(|job| task.wait(job)).map_err(|error| ended(error, job))?;
+    app.metrics.worked(outcome.estimate, outcome.took);
+    report.complete(&outcome.made);
+    encode(sink, report.format, &outcome.made.positions, &outcome.made.attributes, &report.origin)
+        .map_err(|error| unwritten(error, job))?;
+    for (stage, took) in outcome.stages.iter() {
+        app.metrics.stage(stage.name(), took);
+    }
+    app.metrics.points(report.points_in, report.points_out);
+    Ok(About::of(&report))
+}
+
+/// One that is worked on tile by tile.
+fn tiles(
+    app: &Arc<App>,
+    job: &Record,
+    (input, options): (Box<dyn BlobReader>, Options),
+    task: &Task,
+    sink: &mut dyn Write,
+) -> Result<About, Stopped> {
+    let failed = |problem: Problem| stopped(&problem, job);
+    let caller = caller(job);
+    let left = app.engine.reserve(&caller, cost(&options, &unread(job.points_in)));
+    let left = left.map_err(|refusal| ended(refusal.into(), job))?;
+    let mut steps = Steps::over_permit(app, caller, options.clone(), left);
+    let open: Box<Open> = Box::new(move |limits, reading| CloudReader::open_as(input, limits, reading));
+    let planning = steps.plan(TiledRequest { open, held: None, points: job.points_in, options });
+    // Little beside the work itself.
+    task.part(|progress| Progress { fraction: 0.0, ..progress });
+    let tiling = task.wait(planning).map_err(|error| ended(error, job))?.made.map_err(failed)?;
+    let (tiling, _on_disk) = steps.planned(tiling).map_err(failed)?;
+    let (mut done, mut points) = (0, 0);
+    while let Some(tile) = steps.next() {
+        let of = Arc::clone(&tiling);
+        task.part(move |progress| overall(&of, done, points, progress));
+        let outcome = task.wait(tile).map_err(|error| ended(error, job))?;
+        points += steps.took(outcome).map_err(failed)?;
+        done += 1;
+    }
+    let join = tiling.join().map_err(|error| failed(error.into()))?;
+    let report = join.write(sink).map_err(|error| match error {
+        TilesError::Format(error) => unwritten(error, job),
+        error => failed(error.into()),
+    })?;
+    steps.over(true);
+    Ok(About::of(&report))
+}
+
+/// Why the engine has no result.
+fn ended(error: EngineError, job: &Record) -> Stopped {
+    match error {
+        EngineError::Cancelled => Stopped::Cancelled,
+        error => stopped(&Problem::from_engine(error), job),
+    }
+}
+
+fn unwritten(error: FormatError, job: &Record) -> Stopped {
+    match error {
+        FormatError::Io(error) => Stopped::Storage(error),
+        error => stopped(&Problem::Internal(error.to_string()), job),
+    }
+}
+
+/// What a problem is to a job: for what live requests and other jobs have, it can wait.
+fn stopped(problem: &Problem, job: &Record) -> Stopped {
+    match problem {
+        Problem::Refused(refusal) if refusal.retry_after().is_some() => Stopped::Later,
+        Problem::TempFull { .. } => Stopped::Later,
+        problem => refused(problem, &job.request_id),
     }
 }
 

@@ -1,10 +1,13 @@
 //! Which problem an error of an inner layer is.
 
+use std::io::ErrorKind;
+
 use densecloud::PrepareError;
 use densecloud_cascade::CascadeError;
 use densecloud_engine::EngineError;
 use densecloud_formats::FormatError;
 use densecloud_jobs::StoreError;
+use densecloud_tiles::TilesError;
 
 use super::{Problem, SOON};
 
@@ -58,7 +61,30 @@ impl From<StoreError> for Problem {
     }
 }
 
+impl From<TilesError> for Problem {
+    fn from(error: TilesError) -> Self {
+        match error {
+            TilesError::Format(error) => error.into(),
+            TilesError::Prepare(error) => Self::from_prepare(error),
+            TilesError::Cascade(error) => error.into(),
+            TilesError::Tile { why, .. } => why.into(),
+            TilesError::NotInParts { .. } => Self::Impossible(error.to_string()),
+            TilesError::NoSpace { .. } => Self::TempSpace("the disk has no room for this work".into()),
+            TilesError::File { ref why, .. } => Self::of_temp(why.kind(), error.to_string()),
+            error => Self::Internal(error.to_string()),
+        }
+    }
+}
+
 impl Problem {
+    /// What the disk says of a temporary file; where that lies is for the log only.
+    pub(crate) fn of_temp(kind: ErrorKind, why: String) -> Self {
+        match kind {
+            ErrorKind::StorageFull | ErrorKind::QuotaExceeded => Self::TempSpace(kind.to_string()),
+            _ => Self::Internal(why),
+        }
+    }
+
     /// Options that do not fit this cloud.
     pub(crate) fn from_prepare(error: PrepareError) -> Self {
         match error {

@@ -141,6 +141,15 @@ pub(super) enum Problem {
         /// What they may hold.
         limit: u64,
     },
+    /// Long uploads and tiles take all of the disk that they may.
+    TempFull {
+        /// What they take.
+        used: u64,
+        /// What they may take.
+        limit: u64,
+    },
+    /// The disk of the folder for temporary files has no room.
+    TempSpace(String),
     /// The result was not complete in time.
     Deadline {
         /// How long the request might take.
@@ -235,7 +244,8 @@ impl Problem {
             | Self::JobsFull { limit, .. }
             | Self::ClientJobs { limit, .. }
             | Self::JobDisk { limit, .. }
-            | Self::HeldFull { limit, .. } => Some((*limit).into()),
+            | Self::HeldFull { limit, .. }
+            | Self::TempFull { limit, .. } => Some((*limit).into()),
             Self::GaveUp { attempts } => Some((*attempts).into()),
             Self::UploadStalled { limit }
             | Self::Deadline { limit, .. }
@@ -248,7 +258,11 @@ impl Problem {
         match self {
             Self::Refused(refusal) => refusal.retry_after(),
             Self::JobsFull { retry_after, .. } | Self::ClientJobs { retry_after, .. } => Some(*retry_after),
-            Self::WarmingUp | Self::Draining | Self::HeldFull { .. } | Self::JobsBusy(_) => Some(SOON),
+            Self::WarmingUp
+            | Self::Draining
+            | Self::HeldFull { .. }
+            | Self::TempFull { .. }
+            | Self::JobsBusy(_) => Some(SOON),
             _ => None,
         }
     }

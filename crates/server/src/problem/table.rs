@@ -136,6 +136,11 @@ problems! {
     Self::HeldFull { used, limit } => SERVICE_UNAVAILABLE "memory-full" "The memory is in use" ("--max-held-bytes"):
         "uploads and unsent results hold {used} of {limit} bytes, which leaves too little for this request; {setting} \
          lifts this limit";
+    Self::TempFull { used, limit } => SERVICE_UNAVAILABLE "temp-full" "The disk is in use" ("--max-temp-bytes"):
+        "long uploads and the tiles of large clouds take {used} of {limit} bytes of the disk, which leaves too little for \
+         this request; {setting} lifts this limit";
+    Self::TempSpace(why) => INSUFFICIENT_STORAGE "temp-space" "The disk has no room" ("--temp-dir"):
+        "{why}; {setting} names a folder on another disk";
     Self::OutOfMemory(bytes) => INSUFFICIENT_STORAGE "out-of-memory" "No memory is left":
         "the system had no {bytes} bytes of memory left for this request; ask for fewer points, or come back later";
     Self::Deadline { limit, spent } => GATEWAY_TIMEOUT "deadline" "It took too long" ("--request-timeout"):

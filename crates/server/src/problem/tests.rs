@@ -38,6 +38,8 @@ pub(crate) fn every_problem() -> Vec<(Problem, u16, &'static str)> {
             "queue-full",
         ),
         (Problem::HeldFull { used: 4, limit: 5 }, 503, "memory-full"),
+        (Problem::TempFull { used: 4, limit: 5 }, 503, "temp-full"),
+        (Problem::TempSpace("no room".into()), 507, "temp-space"),
         (Problem::Deadline { limit: second, spent: "x".into() }, 504, "deadline"),
         (Problem::Unauthorized("x"), 401, "unauthorized"),
         (Problem::CrossSite, 403, "cross-site"),

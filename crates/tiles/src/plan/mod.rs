@@ -12,12 +12,12 @@ use densecloud::survey::{Goal, SAMPLE, Survey};
 use densecloud::{Outline, Outlined, check_rules, survey};
 use densecloud_cascade::{CascadeError, Spread, Target, Whole, halo};
 use densecloud_cloud::{Attribute, Facts, Frame, FrameError, Position};
-use densecloud_formats::{Block, Format};
+use densecloud_formats::Block;
 use densecloud_geometry::Partition;
 
 use crate::chunk::KindName;
 use crate::folder::write_whole;
-use crate::input::{Large, empty, kept};
+use crate::input::{Large, check_format, empty, kept};
 use crate::manifest::{Causes, Column, Manifest, Tile, nodes};
 
 use crate::tiling::Tiling;
@@ -33,7 +33,7 @@ const GRADES: u32 = 3;
 const FIRST: u64 = 25_000;
 
 /// Bytes of a point in our files beside its attributes: its coordinates and its row.
-const BARE: u64 = 28;
+pub(crate) const BARE: u64 = 28;
 
 /// Plans the tiles of a cloud in a folder, which is empty or holds what is left of another plan. The plan depends on the
 /// cloud's points, their order, the options, the model and the points of a tile; not on the number of threads, nor on how
@@ -44,8 +44,8 @@ const BARE: u64 = 28;
 ///
 /// # Errors
 /// [`TilesError`].
-pub fn plan<'f>(input: Large<'_>, work: &Work<'_>, folder: &'f Folder) -> Result<Tiling<'f>, TilesError> {
-    check_format(&input, work)?;
+pub fn plan(input: Large<'_>, work: &Work<'_>, folder: &Folder) -> Result<Tiling, TilesError> {
+    check_format(&input.header, work.options, work.tile_points)?;
     folder.clear()?;
     space::check_before(&input, work, folder)?;
     folder.prepare()?;
@@ -113,16 +113,6 @@ pub(crate) fn gathered(block: &Block, rows: &[u32]) -> Block {
         positions: rows.iter().map(|&row| block.positions[row as usize]).collect(),
         columns: block.columns.iter().map(of).collect(),
     }
-}
-
-/// Refuses a format that needs the whole cloud, before any work.
-fn check_format(input: &Large<'_>, work: &Work<'_>) -> Result<(), TilesError> {
-    let format = Format::of_result(work.options.format, input.header.format, true);
-    if format.is_made_in_parts() {
-        return Ok(());
-    }
-    let (tile_points, endings) = (work.tile_points, Format::endings_of_parts());
-    Err(TilesError::NotInParts { format: Box::new(format), tile_points, endings })
 }
 
 /// Points out for each finite point in, as far as is known before there are tiles: a spacing or a density is about that.

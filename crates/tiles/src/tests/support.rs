@@ -83,7 +83,7 @@ impl Bench {
         }
     }
 
-    pub(super) fn plan<'f>(&self, input: &[u8], folder: &'f Folder) -> Result<Tiling<'f>, TilesError> {
+    pub(super) fn plan(&self, input: &[u8], folder: &Folder) -> Result<Tiling, TilesError> {
         plan(large(input, self.tile_points), &self.work(), folder)
     }
 
@@ -96,7 +96,7 @@ impl Bench {
     }
 }
 
-pub(super) fn joined(tiling: &Tiling<'_>) -> Result<Vec<u8>, TilesError> {
+pub(super) fn joined(tiling: &Tiling) -> Result<Vec<u8>, TilesError> {
     let mut bytes = Vec::new();
     tiling.join()?.write(&mut bytes)?;
     Ok(bytes)
