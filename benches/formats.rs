@@ -1,10 +1,11 @@
 //! Reading and writing a million points in memory: `cargo bench --bench formats [-- RUNS]`, by default 5. With the name of a
-//! file, `[-- RUNS FILE]`, that one: read, and written as LAZ; `RAYON_NUM_THREADS` says on how many threads.
+//! file, `[-- RUNS FILE]`, that one: read, and written as LAZ and COPC; `RAYON_NUM_THREADS` says on how many threads.
 //!
 //! Prints the median, the extremes, and the points a second of the median.
 
 use std::fmt::Write as _;
 use std::hint::black_box;
+use std::io;
 use std::path::Path;
 use std::time::Instant;
 
@@ -51,17 +52,18 @@ fn main() {
     time_reading("PTS, three decimals", runs, pts(&positions).as_bytes());
 }
 
-/// Reads a file, and writes what it holds as LAZ.
+/// Reads a file, and writes what it holds as LAZ and COPC.
 fn time_file(path: &Path, runs: usize) {
     let read = || read_cloud_file(path).expect("a cloud").0;
     time("read", runs, || read().positions.len());
     let cloud = read();
-    let laz = Format::Las { compressed: true };
-    let write = || encode(Vec::new(), laz, &cloud.positions, &cloud.attributes, &cloud.origin);
-    time("write LAZ", runs, || {
-        write().expect("a file");
-        cloud.positions.len()
-    });
+    for (name, format) in [("LAZ", Format::Las { compressed: true }), ("COPC", Format::Copc)] {
+        let write = || encode(io::sink(), format, &cloud.positions, &cloud.attributes, &cloud.origin);
+        time(&format!("write {name}"), runs, || {
+            write().expect("a file");
+            cloud.positions.len()
+        });
+    }
 }
 
 fn colours() -> Vec<Attribute> {

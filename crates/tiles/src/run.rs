@@ -123,7 +123,7 @@ impl Tiling {
         let write = || {
             let mut sink = BufWriter::new(File::create(&before)?);
             for rows in rows.chunks(ROWS) {
-                chunk::write(&mut sink, &crate::plan::gathered(&all, rows))?;
+                chunk::write(&mut sink, &all.gather(rows))?;
             }
             sink.into_inner().map_err(std::io::IntoInnerError::into_error)?.sync_all()?;
             std::fs::rename(&before, &path)

@@ -12,7 +12,6 @@ use densecloud::survey::{Goal, SAMPLE, Survey};
 use densecloud::{Outline, Outlined, check_rules, survey};
 use densecloud_cascade::{CascadeError, Spread, Target, Whole, halo};
 use densecloud_cloud::{Attribute, Facts, Frame, FrameError, Position};
-use densecloud_formats::Block;
 use densecloud_geometry::Partition;
 
 use crate::chunk::KindName;
@@ -101,18 +100,6 @@ pub fn plan(input: Large<'_>, work: &Work<'_>, folder: &Folder) -> Result<Tiling
 fn rounded(spilled: &Spilled) -> Result<Vec<Position>, CascadeError> {
     let frame = Frame::fit(&spilled.bounds)?;
     Ok(spilled.sample.iter().map(|p| frame.to_world(frame.to_local(*p))).collect())
-}
-
-/// Rows of a block; those of a column that has fewer are left out.
-pub(crate) fn gathered(block: &Block, rows: &[u32]) -> Block {
-    let of = |column: &densecloud_cloud::Values| {
-        let there = rows.partition_point(|row| (*row as usize) < column.len());
-        column.gather(&rows[..there])
-    };
-    Block {
-        positions: rows.iter().map(|&row| block.positions[row as usize]).collect(),
-        columns: block.columns.iter().map(of).collect(),
-    }
 }
 
 /// Points out for each finite point in, as far as is known before there are tiles: a spacing or a density is about that.

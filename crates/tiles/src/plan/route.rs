@@ -63,7 +63,7 @@ impl<'a> Router<'a> {
         let block = Block { positions, columns };
         for tile in touched.iter().map(|tile| *tile as usize) {
             for (side, rows) in rows[tile].iter().enumerate() {
-                self.put(tile, side, super::gathered(&block, rows));
+                self.put(tile, side, block.gather(rows));
             }
         }
         if self.held > HELD { self.flush(HELD / 2) } else { Ok(()) }

@@ -156,5 +156,5 @@ impl<'a> Spill<'a> {
 /// The first points of a block.
 fn head(block: &Block, rows: usize) -> Block {
     let rows: Vec<u32> = densecloud_geometry::indices(block.positions.len().min(rows)).collect();
-    super::gathered(block, &rows)
+    block.gather(&rows)
 }
