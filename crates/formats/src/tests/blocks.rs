@@ -87,7 +87,7 @@ fn joined(mut reader: CloudReader<'_>, rows: usize) -> Result<Cloud, FormatError
 #[test]
 fn blocks_are_what_is_read_at_once() {
     let cloud = cloud(1000);
-    for format in streamed().into_iter().chain([LAS, LAZ]) {
+    for format in streamed().into_iter().chain([LAS, LAZ, Format::Copc]) {
         let bytes = file(&cloud, format);
         let whole = read(&bytes).expect("a cloud");
         for rows in [1, 7, 999, 1000, 5000] {
@@ -188,7 +188,7 @@ fn a_long_file_is_not_read_further_than_its_points_are_given() {
 fn a_file_is_read_where_it_lies() {
     let cloud = cloud(100_000);
     let folder = tempfile::tempdir().expect("a folder");
-    for format in [LAS, LAZ, Format::E57, NPY] {
+    for format in [LAS, LAZ, Format::Copc, Format::E57, NPY] {
         let bytes = file(&cloud, format);
         let path = folder.path().join("cloud");
         std::fs::write(&path, &bytes).expect("a file");
@@ -231,7 +231,7 @@ impl Write for Longest {
 #[test]
 fn no_format_but_compressed_pcd_is_written_in_one_piece() {
     let cloud = cloud(300_000);
-    for format in streamed().into_iter().chain([LAS, LAZ, Format::E57]) {
+    for format in streamed().into_iter().chain([LAS, LAZ, Format::Copc, Format::E57]) {
         let written = encode(Longest::default(), format, &cloud.positions, &cloud.attributes, &cloud.origin);
         let Longest { part, all } = written.expect("a file");
         assert!(part <= 4 << 20 && (part < all / 2 || format.is_packed()), "{format}: {part} of {all}");
@@ -253,7 +253,7 @@ fn a_file_of_blocks_that_were_seen_is_that_of_the_whole_cloud() {
     }
     from_las.positions[9_999] = [5e6, 1.0, 1.0];
     for cloud in [&cloud, &from_las] {
-        for format in streamed().into_iter().chain([LAS, LAZ]) {
+        for format in streamed().into_iter().chain([LAS, LAZ, Format::Copc]) {
             let whole = file(cloud, format);
             for rows in [1, 77, 9_999, 20_000] {
                 // Each block has columns of its own, as those of a reader.
@@ -292,7 +292,7 @@ fn a_file_of_blocks_that_were_seen_is_that_of_the_whole_cloud() {
 fn a_spooled_file_is_the_same() {
     let cloud = cloud(3000);
     let compressed = Format::Pcd { encoding: PcdEncoding::Compressed, scalar: Scalar::F32 };
-    for format in streamed().into_iter().chain([LAS, LAZ, Format::E57, compressed]) {
+    for format in streamed().into_iter().chain([LAS, LAZ, Format::Copc, Format::E57, compressed]) {
         let mut spooled = Vec::new();
         encode_spooled(format, &cloud.positions, &cloud.attributes, &cloud.origin)
             .and_then(|mut file| Ok(file.read_to_end(&mut spooled)?))

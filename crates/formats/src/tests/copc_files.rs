@@ -238,6 +238,41 @@ fn a_hierarchy_that_contradicts_itself_is_refused_where_it_is_needed() {
     }
 }
 
+/// The places of a file that decide how it is read: its header, the beginnings of chunks, the table, and the hierarchy.
+fn vital(bytes: &[u8]) -> Vec<usize> {
+    let number = |at: usize| u64::from_le_bytes(bytes[at..at + 8].try_into().expect("eight bytes")) as usize;
+    let data = u32::from_le_bytes(bytes[96..100].try_into().expect("four bytes")) as usize;
+    let (page, length) = (number(375 + 54 + 40), number(375 + 54 + 48));
+    let chunks = (page..page + length).step_by(32).map(|entry| number(entry + 16));
+    let begins = chunks.flat_map(|at| at..at + 120);
+    (90..data + 8).chain(begins).chain(number(data)..bytes.len()).collect()
+}
+
+#[test]
+fn damage_is_an_error_or_harmless() {
+    let whole = cloud(60_000);
+    let bytes = file(&whole, Format::Copc);
+    let (mut read_anyway, mut rng) = (0, densecloud_geometry::Rng::new(7));
+    let mut below = |n: usize| rng.below(n as u64) as usize;
+    let vital = vital(&bytes);
+    for _ in 0..150 {
+        let mut broken = bytes.clone();
+        for _ in 0..1 + below(3) {
+            let at = vital[below(vital.len())];
+            broken[at] = [0, 1, 0x7F, 0x80, 0xFF, broken[at] ^ 0x10][below(6)];
+        }
+        broken.truncate(bytes.len() - [0, 0, 0, 1, 500][below(5)]);
+        for bounds in ["635000,4848000,636000,4849000", "-1e12,-1e12,1e12,1e12"] {
+            if let Ok(cloud) = within(&broken, bounds) {
+                assert!(cloud.attributes.iter().all(|a| a.values.len() == cloud.positions.len()));
+                assert!(cloud.positions.len() <= 60_000);
+                read_anyway += 1;
+            }
+        }
+    }
+    assert!((20..280).contains(&read_anyway), "{read_anyway} of 300");
+}
+
 #[test]
 fn clouds_of_any_shape_are_written() {
     let at = |positions: Vec<Position>| Cloud { positions, ..Cloud::default() };

@@ -86,7 +86,12 @@ fn formats() -> Vec<Format> {
     let pcd = |encoding| Format::Pcd { encoding, scalar: Scalar::F32 };
     let mut all = ENCODINGS.map(|encoding| ply(encoding, Scalar::F32)).to_vec();
     all.extend([PcdEncoding::Ascii, PcdEncoding::Binary, PcdEncoding::Compressed].map(pcd));
-    all.extend([Format::Las { compressed: false }, Format::Las { compressed: true }, Format::E57]);
+    all.extend([
+        Format::Las { compressed: false },
+        Format::Las { compressed: true },
+        Format::Copc,
+        Format::E57,
+    ]);
     all.push(Format::Npy { scalar: Scalar::F64, fields: true });
     all
 }
