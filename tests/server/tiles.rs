@@ -323,6 +323,48 @@ fn a_jobs_progress_is_by_tiles_and_it_is_cancelled_within_one() {
 }
 
 #[test]
+fn a_job_goes_on_with_the_tiles_that_were_done() {
+    let (temp, folder) = (tempfile::tempdir().expect("a folder"), tempfile::tempdir().expect("a folder"));
+    let mut config = config(temp.path());
+    config.jobs = Some(densecloud_jobs::Settings::new(folder.path().to_owned()));
+    let backend = Scripted::new();
+    let mut server = Server::start(&backend, config.clone());
+    let (body, pairs) = request();
+    let counts = batches(&body, &pairs);
+    backend.shut();
+    (0..counts[2]).for_each(|_| backend.pass());
+    let path =
+        server.post("/jobs?ratio=2&tile_points=1000", &body).header("location").expect("one").to_owned();
+    let job = |server: &Server| -> Value { serde_json::from_slice(&server.get(&path).body).expect("JSON") };
+    let tiles = folder.path().join("tiles");
+    let second = |entry: std::fs::DirEntry| entry.path().join("parts/1.json").exists();
+    wait_until("two tiles are done", || {
+        std::fs::read_dir(&tiles).is_ok_and(|mut all| all.any(|entry| second(entry.unwrap())))
+    });
+    server.stop();
+    wait_until("it is draining", || !server.is_ready());
+    backend.open();
+    server.join().expect("it ends well");
+    drop(server);
+    assert_eq!(entries(&tiles), 1, "the job's tiles stay");
+    // What is left of a job that nobody knows.
+    drop(Folder::kept(&tiles, "another").expect("a folder"));
+    let warm = Scripted::new();
+    drop(Server::start(&warm, Config::default()));
+    let again = Scripted::new();
+    let server = Server::start(&again, config);
+    wait_until("it is done", || job(&server)["state"] == "done");
+    let kept = server.get(&format!("{path}/result"));
+    assert!(kept.body == expected(&body, &pairs).file);
+    assert_eq!(
+        again.batches() - warm.batches(),
+        counts[counts.len() - 1] - counts[2],
+        "no tile is made twice: {counts:?}"
+    );
+    assert_eq!(entries(&tiles), 0);
+}
+
+#[test]
 fn a_long_upload_lies_on_the_disk() {
     let temp = tempfile::tempdir().expect("a folder");
     let mut config = config(temp.path());

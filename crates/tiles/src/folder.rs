@@ -68,7 +68,7 @@ impl Folder {
     /// # Errors
     /// [`TilesError::Busy`], [`TilesError::File`].
     pub fn kept(parent: &Path, name: &str) -> Result<Self, TilesError> {
-        let path = parent.join(format!("{KEPT}{:08x}", crc32fast::hash(name.as_bytes())));
+        let path = parent.join(kept_name(name));
         fs::create_dir_all(parent).map_err(TilesError::file(parent))?;
         match create_private(&path) {
             Err(why) if why.kind() != std::io::ErrorKind::AlreadyExists => {
@@ -78,6 +78,30 @@ impl Folder {
         }
         let lock = locked(&path)?;
         Ok(Self::held(path, Some(lock), false))
+    }
+
+    /// Removes those inside of `parent` that [are kept](Self::kept) for works of other names than these, and that nobody works
+    /// in.
+    ///
+    /// # Errors
+    /// [`TilesError::File`].
+    pub fn keep_only<'a>(parent: &Path, names: impl Iterator<Item = &'a str>) -> Result<(), TilesError> {
+        let names: Vec<String> = names.map(kept_name).collect();
+        if !parent.exists() {
+            return Ok(());
+        }
+        for entry in fs::read_dir(parent).map_err(TilesError::file(parent))? {
+            let entry = entry.map_err(TilesError::file(parent))?;
+            let is_left = |name: &str| name.starts_with(KEPT) && !names.iter().any(|kept| kept == name);
+            if !entry.file_name().to_str().is_some_and(is_left) {
+                continue;
+            }
+            if let Ok(lock) = locked(&entry.path()) {
+                discard(&entry.path())?;
+                drop(lock);
+            }
+        }
+        Ok(())
     }
 
     /// A new one at that very place, to plan tiles in; whatever works on them may do so at once.
@@ -229,6 +253,11 @@ fn create_private(path: &Path) -> std::io::Result<()> {
     builder.create(path)
 }
 
+/// The name of a folder that is kept for a work of that name.
+fn kept_name(name: &str) -> String {
+    format!("{KEPT}{:08x}", crc32fast::hash(name.as_bytes()))
+}
+
 fn locked(folder: &Path) -> Result<File, TilesError> {
     let path = folder.join(LOCK);
     let file = File::options().create(true).append(true).open(&path).map_err(TilesError::file(&path))?;
@@ -330,6 +359,14 @@ mod tests {
         let folder = Folder::kept(parent.path(), "dense.ply").expect("a folder");
         fs::write(folder.manifest(), "x").expect("a file");
         assert!(folder.has_plan());
+        // Of two others one is worked in.
+        let other = Folder::kept(parent.path(), "other.ply").expect("a folder");
+        drop(Folder::kept(parent.path(), "third.ply").expect("a folder"));
+        Folder::keep_only(parent.path(), ["dense.ply"].into_iter()).expect("the others are removed");
+        assert_eq!(names(parent.path()).len(), 2);
+        drop(other);
+        Folder::keep_only(parent.path(), ["dense.ply"].into_iter()).expect("the others are removed");
+        assert_eq!(names(parent.path()), [kept_name("dense.ply")]);
         folder.remove().expect("removed");
         assert!(!path.exists());
     }

@@ -13,15 +13,20 @@ use crate::http::query;
 use crate::http::upload::reader_limits;
 use crate::http::upsample::{About, UpsampleRequest, prepare};
 use crate::problem::Problem;
-use crate::tiled::{Open, Steps, TiledRequest, overall};
+use crate::tiled::{KeptFolder, Open, Steps, TiledRequest, overall};
 use densecloud::{Options, Prepared};
 use densecloud_engine::{Caller, Client, EngineError, Progress};
 use densecloud_formats::{CloudReader, FormatError, encode};
-use densecloud_jobs::{BlobReader, Record, Stopped, Task, Work};
-use densecloud_tiles::TilesError;
+use densecloud_jobs::{BlobReader, Jobs, Record, Stopped, StoreError, Task, Work};
+use densecloud_tiles::{Folder, TilesError};
 
 /// Bytes of options at most: they are kept as long as the job is.
 const LONGEST: usize = 16 << 10;
+
+/// The folder of tiles, in that of the jobs.
+const TILES: &str = "tiles";
+/// Jobs that are looked at together.
+const PAGE: u32 = 1000;
 
 /// Whether options of this length, as they came, can be kept.
 ///
@@ -84,8 +89,10 @@ fn before(query: &str, accept: &str) -> Result<Options, Problem> {
 
 /// Starts the threads that run jobs, where there are any to keep.
 pub(crate) fn start(app: &Arc<App>) -> io::Result<()> {
+    let Some(jobs) = &app.jobs else { return Ok(()) };
+    forget_others(app, jobs).map_err(io::Error::other)?;
     let work: Arc<dyn Work> = Arc::new(Upsampling(Arc::clone(app)));
-    app.jobs.as_ref().map_or(Ok(()), |jobs| jobs.start(&work))
+    jobs.start(&work)
 }
 
 struct Upsampling(Arc<App>);
@@ -107,7 +114,13 @@ impl Work for Upsampling {
             return Err(stopped(&Problem::BodyTooLarge { limit }, job));
         }
         let about = match options.tile_points.is_some_and(|most| job.points_in > most) {
-            true => tiles(app, job, (input, options), task, sink)?,
+            true => {
+                let made = tiles(app, job, (input, options), task, sink);
+                if !goes_on(app, &made) {
+                    forget(app, job);
+                }
+                made?
+            }
             false => whole(app, job, (input, length, options), task, sink)?,
         };
         serde_json::to_string(&About { name, ..about })
@@ -154,6 +167,48 @@ fn whole(
     Ok(About::of(&report))
 }
 
+/// The folder in which a job's tiles lie until it is over.
+fn folder(app: &App, job: &Record) -> Option<KeptFolder> {
+    let parent = app.config.jobs.as_ref()?.folder.join(TILES);
+    Some(KeptFolder { parent, name: job.id.clone() })
+}
+
+/// Whether a job is gone on with later: it waits for room, or the server stops.
+fn goes_on(app: &App, made: &Result<About, Stopped>) -> bool {
+    match made {
+        Err(Stopped::Later) => true,
+        Err(Stopped::Cancelled) => app.readiness.check().is_err(),
+        _ => false,
+    }
+}
+
+/// Removes what a job's tiles left.
+fn forget(app: &App, job: &Record) {
+    let Some(KeptFolder { parent, name }) = folder(app, job) else { return };
+    if let Err(error) = Folder::kept(&parent, &name).and_then(Folder::remove) {
+        tracing::warn!(job = job.id, %error, "tiles of a job that is over are left");
+    }
+}
+
+/// Removes the tiles of jobs that are over: the program was killed as they came to their end.
+fn forget_others(app: &App, jobs: &Jobs) -> Result<(), StoreError> {
+    let (mut waiting, mut before) = (Vec::new(), None);
+    loop {
+        let page = jobs.store().list(before, PAGE, None)?;
+        waiting.extend(page.iter().filter(|job| !job.state.is_final()).map(|job| job.id.clone()));
+        before = page.last().map(|job| job.number);
+        if page.len() < PAGE as usize {
+            break;
+        }
+    }
+    let Some(settings) = &app.config.jobs else { return Ok(()) };
+    let kept = Folder::keep_only(&settings.folder.join(TILES), waiting.iter().map(String::as_str));
+    if let Err(error) = kept {
+        tracing::warn!(%error, "tiles of jobs that are over are left");
+    }
+    Ok(())
+}
+
 /// One that is worked on tile by tile.
 fn tiles(
     app: &Arc<App>,
@@ -168,15 +223,15 @@ fn tiles(
     let left = left.map_err(|refusal| ended(refusal.into(), job))?;
     let mut steps = Steps::over_permit(app, caller, options.clone(), left);
     let open: Box<Open> = Box::new(move |limits, reading| CloudReader::open_as(input, limits, reading));
-    let planning = steps.plan(TiledRequest { open, held: None, points: job.points_in, options });
+    let kept = folder(app, job);
+    let planning = steps.plan(TiledRequest { open, held: None, points: job.points_in, options, kept });
     // Little beside the work itself.
     task.part(|progress| Progress { fraction: 0.0, ..progress });
     let tiling = task.wait(planning).map_err(|error| ended(error, job))?.made.map_err(failed)?;
     let (tiling, _on_disk) = steps.planned(tiling).map_err(failed)?;
-    let (mut done, mut points) = (0, 0);
+    let (mut done, mut points) = steps.pass_over().map_err(failed)?;
     while let Some(tile) = steps.next() {
-        let of = Arc::clone(&tiling);
-        task.part(move |progress| overall(&of, done, points, progress));
+        task.part(overall(&tiling, done, points));
         let outcome = task.wait(tile).map_err(|error| ended(error, job))?;
         points += steps.took(outcome).map_err(failed)?;
         done += 1;

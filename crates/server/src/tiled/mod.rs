@@ -6,6 +6,7 @@
 pub(crate) mod body;
 mod steps;
 
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -32,6 +33,16 @@ pub(crate) struct TiledRequest {
     /// Points in, as the file's header tells them or as they are guessed.
     pub(crate) points: u64,
     pub(crate) options: Options,
+    /// The folder that it is worked on in, and gone on with; where none is said, one that goes with the work.
+    pub(crate) kept: Option<KeptFolder>,
+}
+
+/// A folder that stays when a work is stopped.
+#[derive(Debug, Clone)]
+pub(crate) struct KeptFolder {
+    pub(crate) parent: PathBuf,
+    /// The work's.
+    pub(crate) name: String,
 }
 
 /// Opens a cloud.
@@ -168,7 +179,7 @@ impl TiledProgress {
         let waiting = Progress { stage: None, level: 0, levels: 0, fraction: 0.0 };
         let now = state.handle.as_ref().map_or(waiting, ProgressHandle::progress);
         let Some(plan) = &state.plan else { return Progress { fraction: 0.0, ..now } };
-        steps::overall(plan.tiling(), state.done, state.points, now)
+        steps::overall(plan.tiling(), state.done, state.points)(now)
     }
 }
 

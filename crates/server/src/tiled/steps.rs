@@ -9,7 +9,7 @@ use crate::app::App;
 use crate::http::asked::{cost, unread};
 use crate::http::upload::reader_limits;
 use crate::problem::Problem;
-use crate::tiled::TiledRequest;
+use crate::tiled::{KeptFolder, TiledRequest};
 use densecloud::Options;
 use densecloud_cascade::{CascadeError, LevelRunner, Observer, Stage};
 use densecloud_engine::{Caller, Cost, Outcome, Part, Pending, Permit, Progress};
@@ -81,12 +81,26 @@ fn planned(
     runner: &dyn LevelRunner,
     watch: &dyn Watch,
 ) -> Result<Tiling, TilesError> {
-    let TiledRequest { open, options, held: _held, .. } = request;
-    let folder = Folder::temporary(&app.config.temp_dir())?;
+    let TiledRequest { open, options, kept, held: _held, .. } = request;
+    let folder = match &kept {
+        Some(KeptFolder { parent, name }) => Folder::kept(parent, name)?,
+        None => Folder::temporary(&app.config.temp_dir())?,
+    };
     let reader = open(limits, &options.reading)?;
     let (model, tile_points) = (&app.config.model.name, tile_points(&options));
     let work = Work { options: &options, model, runner, tile_points, watch };
     match Input::read(reader, 0)? {
+        Input::Large(large) if folder.has_plan() => {
+            let resumed = Tiling::resumed(*large, &work, &folder);
+            match resumed {
+                // Of another version, say. Whoever can wait begins anew.
+                Err(TilesError::Differs { .. } | TilesError::Broken { .. }) => {
+                    folder.remove()?;
+                    Err(CascadeError::Cancelled.into())
+                }
+                resumed => resumed,
+            }
+        }
         Input::Large(large) => plan(*large, &work, &folder),
         Input::Small(..) => Err(densecloud_formats::FormatError::Empty("points").into()),
     }
@@ -147,6 +161,22 @@ impl Steps {
         Ok((tiling, on_disk))
     }
 
+    /// Passes over the tiles that were done before the work was gone on with: how many there are, and the points that they
+    /// gave.
+    ///
+    /// # Errors
+    /// What is told of them cannot be read.
+    pub(crate) fn pass_over(&mut self) -> Result<(u32, u64), Problem> {
+        let mut points = 0;
+        while let Some(tiling) = self.tiling.as_ref().filter(|tiling| self.next < tiling.len()) {
+            let Some(made) = tiling.points_made(self.next)? else { break };
+            let [own, _, size] = tiling.points(self.next);
+            drop(self.left.part(Cost::new(own, size).times(self.options.effort())));
+            (self.next, points) = (self.next + 1, points + made);
+        }
+        Ok((self.next, points))
+    }
+
     /// The next tile, if there is one.
     pub(crate) fn next(&mut self) -> Option<Pending<Settled<u64>>> {
         let tiling = Arc::clone(self.tiling.as_ref().filter(|tiling| self.next < tiling.len())?);
@@ -195,9 +225,12 @@ impl Steps {
     }
 }
 
-/// The progress of a whole of which so many tiles are done, and gave so many points, and this is that of the next.
-pub(crate) fn overall(tiling: &Tiling, done: u32, points: u64, now: Progress) -> Progress {
+/// How the progress of the next tile is that of the whole, of which so many tiles are done, and gave so many points.
+pub(crate) fn overall(tiling: &Tiling, done: u32, points: u64) -> impl Fn(Progress) -> Progress + use<> {
     let size = if done < tiling.len() { tiling.points(done)[2] } else { 0 };
-    let made = points as f64 + now.fraction.min(1.0) * size as f64;
-    Progress { fraction: (made / tiling.report().points_out.max(1) as f64).min(1.0), ..now }
+    let all = tiling.report().points_out.max(1) as f64;
+    move |now| {
+        let made = points as f64 + now.fraction.min(1.0) * size as f64;
+        Progress { fraction: (made / all).min(1.0), ..now }
+    }
 }
