@@ -57,7 +57,7 @@ proptest! {
             }
         }
         prop_assert!(finite.iter().all(|i| seen[*i]), "an input point is not there");
-        drop(folder);
+        drop((tiling, folder));
         prop_assert_eq!(entries(parent.path()), 0);
     }
 }
