@@ -23,8 +23,8 @@ test-python: venv
 lint: venv
 	cargo fmt --check
 	cargo clippy --workspace --all-targets -- -D warnings
-	.venv/bin/python -m ruff check training tests/interop
-	.venv/bin/python -m ruff format --check training tests/interop
+	.venv/bin/python -m ruff check training tests/interop benches
+	.venv/bin/python -m ruff format --check training tests/interop benches
 
 docs:
 	RUSTDOCFLAGS="-D warnings" cargo doc --workspace --no-deps
