@@ -1,13 +1,11 @@
 //! Writing COPC: each node of an octree has some of the points in its space, one of each cell of a grid, and its eight parts have
 //! the others.
 
-use std::fmt;
 use std::io::{Read, Seek, Write};
 
 use laz::LazVlrBuilder;
 
 use super::super::FormatError;
-use super::super::kind::Rows;
 use super::super::spool::Spool;
 use super::LasRecord;
 use super::chunks::Chunk;
@@ -15,7 +13,7 @@ use super::hierarchy::{Cube, INFO, Info, Key, Node, cell, octant};
 use super::pack::Packed;
 use super::plan::{Plan, failed};
 use super::records::number;
-use super::write::{Frame, count, guarded, packing};
+use super::write::{Frame, Making, count, packing};
 use densecloud_cloud::{Attribute, Position};
 
 /// Points of a node that is not parted, and most bytes of any node, whatever a point has.
@@ -38,64 +36,36 @@ const FIRST_RECORD: usize = 375 + 54;
 pub(super) struct IndexedRows {
     plan: Plan,
     points: u64,
-    /// Until the file is made.
-    rows: Option<Spool>,
+    rows: Spool,
 }
 
 impl IndexedRows {
     pub(super) fn new(plan: Plan, points: u64) -> Self {
-        Self { plan, points, rows: Some(Spool::new()) }
+        Self { plan, points, rows: Spool::new() }
     }
+}
 
-    /// Takes further points. The first point's attributes are at row `from`.
-    pub(super) fn add(
+impl Making for IndexedRows {
+    fn add(
         &mut self,
         positions: &[Position],
         attributes: &[Attribute],
         from: usize,
     ) -> Result<(), FormatError> {
-        let Some(rows) = &mut self.rows else { return Ok(()) };
         let stride = usize::from(self.plan.format.len());
         for (i, part) in positions.chunks(4096).enumerate() {
             let mut bytes = vec![0; part.len() * stride];
             self.plan.fill(&mut bytes, stride, part, attributes, from + 4096 * i);
-            rows.write_all(&bytes)?;
+            self.rows.write_all(&bytes)?;
         }
         Ok(())
     }
 
-    /// The whole file, from its beginning; once.
-    pub(super) fn file(&mut self) -> Result<Option<Spool>, FormatError> {
-        let Some(rows) = self.rows.take() else { return Ok(None) };
+    fn file(mut self) -> Result<Spool, FormatError> {
         self.plan.records.insert(0, info_record());
         let mut octree = Octree::new(&self.plan)?;
-        octree.node(Key::ROOT, rows)?;
-        octree.end(&self.plan, self.points).map(Some)
-    }
-}
-
-impl Rows for IndexedRows {
-    fn put(
-        &mut self,
-        _bytes: &mut Vec<u8>,
-        positions: &[Position],
-        attributes: &[Attribute],
-        from: usize,
-    ) -> Result<(), FormatError> {
-        self.add(positions, attributes, from)
-    }
-
-    fn end(&mut self, sink: &mut dyn Write) -> Result<(), FormatError> {
-        if let Some(mut file) = guarded(|| self.file())? {
-            std::io::copy(&mut file, sink)?;
-        }
-        Ok(())
-    }
-}
-
-impl fmt::Debug for IndexedRows {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("IndexedRows").finish_non_exhaustive()
+        octree.node(Key::ROOT, self.rows)?;
+        octree.end(&self.plan, self.points)
     }
 }
 
@@ -204,24 +174,21 @@ impl Octree {
 
     /// The whole file of `points` points.
     fn end(self, plan: &Plan, points: u64) -> Result<Spool, FormatError> {
-        let Self { frame: Frame { mut before, after }, packed, cube, nodes, times, .. } = self;
+        let Self { mut frame, packed, cube, nodes, times, .. } = self;
+        let before = &mut frame.before;
         let (mut file, table) = packed.end()?;
         let hierarchy = hierarchy(&nodes, before.len() as u64, table.as_ref())?;
         let end = file.len();
         file.write_all(&hierarchy)?;
-        file.write_all(&after)?;
-        let records = number::<4>(&before, 243) as u32 + 1;
+        let records = number::<4>(before, 243) as u32 + 1;
         before[243..247].copy_from_slice(&records.to_le_bytes());
-        count(&mut before, plan, points, end)?;
+        count(before, plan, points, end)?;
         let page = (end + RECORD, hierarchy.len() as u64 - RECORD);
         let times = if times[0] <= times[1] { times } else { [0.0; 2] };
         let spacing = 2.0 * cube.half / f64::from(1_u32 << CELLS);
         let info = Info { cube, spacing, page, times }.bytes();
         before[FIRST_RECORD..FIRST_RECORD + INFO].copy_from_slice(&info);
-        file.rewind()?;
-        file.write_all(&before)?;
-        file.rewind()?;
-        Ok(file)
+        frame.about(file)
     }
 }
 

@@ -31,8 +31,8 @@ pub(super) fn begin(plan: Plan, form: Form, points: u64) -> Result<Begun, Format
     guarded(|| {
         let (before, rows): (Vec<u8>, Box<dyn Rows>) = match form {
             Form::Plain => plain(plan, points)?,
-            Form::Packed => (Vec::new(), Box::new(PackedRows::new(plan, points)?)),
-            Form::Indexed => (Vec::new(), Box::new(IndexedRows::new(plan, points))),
+            Form::Packed => (Vec::new(), Box::new(Spooled(Some(PackedRows::new(plan, points)?)))),
+            Form::Indexed => (Vec::new(), Box::new(Spooled(Some(IndexedRows::new(plan, points))))),
         };
         Ok((before, rows))
     })
@@ -59,23 +59,68 @@ pub(super) fn whole(
     let mut seen = Seen::new(form, attributes, origin);
     seen.see(positions, attributes, 0)?;
     let (plan, points) = (Plan::new(&seen)?, positions.len() as u64);
-    let file = guarded(|| {
-        if form == Form::Indexed {
-            let mut rows = IndexedRows::new(plan, points);
-            rows.add(positions, attributes, 0)?;
-            return rows.file();
-        }
-        let mut rows = PackedRows::new(plan, points)?;
-        rows.pack(positions, attributes, 0)?;
-        rows.file()
-    })?;
-    Ok(file.unwrap_or_else(Spool::new))
+    guarded(|| match form {
+        Form::Indexed => made(IndexedRows::new(plan, points), positions, attributes),
+        _ => made(PackedRows::new(plan, points)?, positions, attributes),
+    })
+}
+
+fn made(
+    mut making: impl Making,
+    positions: &[Position],
+    attributes: &[Attribute],
+) -> Result<Spool, FormatError> {
+    making.add(positions, attributes, 0)?;
+    making.file()
 }
 
 /// A fault of another's code should be an answer, not the end of the program.
 pub(super) fn guarded<T>(work: impl FnOnce() -> Result<T, FormatError>) -> Result<T, FormatError> {
     catch_unwind(AssertUnwindSafe(work))
         .unwrap_or_else(|_| Err(FormatError::NotWritten("the LAS writer failed".into())))
+}
+
+/// A file that is made in a spool.
+pub(super) trait Making {
+    /// Takes further points. The first point's attributes are at row `from`.
+    fn add(
+        &mut self,
+        positions: &[Position],
+        attributes: &[Attribute],
+        from: usize,
+    ) -> Result<(), FormatError>;
+
+    /// The whole file, from its beginning.
+    fn file(self) -> Result<Spool, FormatError>;
+}
+
+/// The rows of such a file, until that is whole.
+struct Spooled<M>(Option<M>);
+
+impl<M: Making + Send> Rows for Spooled<M> {
+    fn put(
+        &mut self,
+        _bytes: &mut Vec<u8>,
+        positions: &[Position],
+        attributes: &[Attribute],
+        from: usize,
+    ) -> Result<(), FormatError> {
+        let Some(making) = &mut self.0 else { return Ok(()) };
+        guarded(|| making.add(positions, attributes, from))
+    }
+
+    fn end(&mut self, sink: &mut dyn Write) -> Result<(), FormatError> {
+        if let Some(making) = self.0.take() {
+            std::io::copy(&mut guarded(|| making.file())?, sink)?;
+        }
+        Ok(())
+    }
+}
+
+impl<M> fmt::Debug for Spooled<M> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Spooled").finish_non_exhaustive()
+    }
 }
 
 /// Rows as they stand in the file, and the records that follow them.
@@ -106,6 +151,15 @@ impl Frame {
         let mut frame = Self::of(plan, vec![compression(how)?])?;
         frame.before[104] |= 0x80;
         Ok(frame)
+    }
+
+    /// Completes a file that stands at its end, and goes to its beginning.
+    pub(super) fn about(self, mut file: Spool) -> Result<Spool, FormatError> {
+        file.write_all(&self.after)?;
+        file.rewind()?;
+        file.write_all(&self.before)?;
+        file.rewind()?;
+        Ok(file)
     }
 }
 
@@ -143,8 +197,7 @@ struct PackedRows {
     /// Bytes of a whole chunk, and of the next one as far as it goes.
     chunk: usize,
     rows: Vec<u8>,
-    /// Until the file is whole.
-    packed: Option<Packed>,
+    packed: Packed,
 }
 
 impl PackedRows {
@@ -155,18 +208,18 @@ impl PackedRows {
         let how = LazVlrBuilder::default().with_point_format(number, format.extra_bytes);
         let how = how.map_err(packing)?.with_fixed_chunk_size(rows as u32).build();
         let frame = Frame::packed(&plan, &how)?;
-        let packed = Some(Packed::new(Spool::new(), &frame.before, how)?);
+        let packed = Packed::new(Spool::new(), &frame.before, how)?;
         Ok(Self { plan, points, frame, chunk: rows * stride, rows: Vec::new(), packed })
     }
+}
 
-    /// Compresses further points. The first point's attributes are at row `from`.
-    fn pack(
+impl Making for PackedRows {
+    fn add(
         &mut self,
         mut positions: &[Position],
         attributes: &[Attribute],
         mut from: usize,
     ) -> Result<(), FormatError> {
-        let Some(packed) = &mut self.packed else { return Ok(()) };
         let stride = usize::from(self.plan.format.len());
         while !positions.is_empty() {
             let (begin, room) = (self.rows.len(), (self.chunk - self.rows.len()) / stride);
@@ -174,52 +227,20 @@ impl PackedRows {
             self.rows.resize(begin + part.len() * stride, 0);
             self.plan.fill(&mut self.rows[begin..], stride, part, attributes, from);
             if self.rows.len() == self.chunk {
-                packed.add(std::mem::take(&mut self.rows))?;
+                self.packed.add(std::mem::take(&mut self.rows))?;
             }
             (positions, from) = (rest, from + part.len());
         }
         Ok(())
     }
 
-    /// The whole file, from its beginning; once.
-    fn file(&mut self) -> Result<Option<Spool>, FormatError> {
-        let Some(mut packed) = self.packed.take() else { return Ok(None) };
+    fn file(mut self) -> Result<Spool, FormatError> {
         if !self.rows.is_empty() {
-            packed.add(std::mem::take(&mut self.rows))?;
+            self.packed.add(self.rows)?;
         }
-        let (mut file, _) = packed.end()?;
-        let Frame { before, after } = &mut self.frame;
-        count(before, &self.plan, self.points, file.len())?;
-        file.write_all(after)?;
-        file.rewind()?;
-        file.write_all(before)?;
-        file.rewind()?;
-        Ok(Some(file))
-    }
-}
-
-impl Rows for PackedRows {
-    fn put(
-        &mut self,
-        _bytes: &mut Vec<u8>,
-        positions: &[Position],
-        attributes: &[Attribute],
-        from: usize,
-    ) -> Result<(), FormatError> {
-        guarded(|| self.pack(positions, attributes, from))
-    }
-
-    fn end(&mut self, sink: &mut dyn Write) -> Result<(), FormatError> {
-        if let Some(mut file) = guarded(|| self.file())? {
-            std::io::copy(&mut file, sink)?;
-        }
-        Ok(())
-    }
-}
-
-impl fmt::Debug for PackedRows {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("PackedRows").finish_non_exhaustive()
+        let (file, _) = self.packed.end()?;
+        count(&mut self.frame.before, &self.plan, self.points, file.len())?;
+        self.frame.about(file)
     }
 }
 
