@@ -4,20 +4,17 @@
 //! |---|---|
 //! | `record` | what is known of one job |
 //! | `records` | the trait of whatever keeps records, with leases on the jobs that run |
-//! | `blobs` | the trait of whatever keeps clouds and results |
-//! | `sqlite`, `folder` | the first implementation of each, for one program at a time |
-//! | `store` | both together: which is written first, and which is removed first |
+//! | `sqlite` | the first implementation of it, for one program at a time |
+//! | `store` | records, and blobs beside them: which is written first, and which is removed first |
 //! | `work` | what jobs are about, and one job while it runs |
 //! | `worker` | the threads that run what is queued |
 //! | `clock`, `settings`, `error` | what they say |
 //!
 //! What a job asks for is text to this crate; [`Work`] understands it. It knows nothing of HTTP, and outside `sqlite`
-//! and `folder` nothing of databases and files.
+//! nothing of databases; clouds and results lie wherever [`Blobs`] keeps them.
 
-mod blobs;
 mod clock;
 mod error;
-mod folder;
 mod record;
 mod records;
 mod settings;
@@ -28,10 +25,9 @@ mod tests;
 mod work;
 mod worker;
 
-pub use blobs::{BlobReader, BlobWriter, Blobs};
 pub use clock::{Clock, SystemClock};
+pub use densecloud_blobs::{BlobReader, BlobWriter, Blobs, Folder};
 pub use error::{StoreError, Trouble};
-pub use folder::Folder;
 pub use record::{CloudFile, Draft, Failure, NewJob, Record, ResultFile, State, Time};
 pub use records::{Admitted, Bounds, Forgotten, Lapsed, Lease, Load, Records, Submitted};
 pub use settings::Settings;

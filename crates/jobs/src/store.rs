@@ -12,11 +12,10 @@ use std::io::{self, Write};
 use std::path::Path;
 use std::sync::Arc;
 
+use densecloud_blobs::{BlobReader, BlobWriter, Blobs, Folder};
 use sha2::{Digest, Sha256};
 
-use crate::blobs::{BlobReader, BlobWriter, Blobs};
 use crate::error::StoreError;
-use crate::folder::Folder;
 use crate::record::{Draft, Failure, Record, ResultFile, State, Time};
 use crate::records::{Admitted, Bounds, Forgotten, Lapsed, Lease, Load, Records, Submitted};
 use crate::sqlite::Sqlite;
@@ -66,9 +65,9 @@ impl Store {
         let promised = self.records.promised()?;
         let kept: HashSet<String> =
             promised.into_iter().map(|(id, result)| result.unwrap_or_else(|| input_name(&id))).collect();
-        let mut leftovers = self.blobs.list()?;
-        leftovers.retain(|name| !kept.contains(name));
-        leftovers.iter().try_for_each(|name| self.blobs.delete(name))?;
+        let mut leftovers = self.blobs.list("")?;
+        leftovers.retain(|blob| !kept.contains(&blob.name));
+        leftovers.iter().try_for_each(|blob| self.blobs.delete(&blob.name))?;
         if !leftovers.is_empty() {
             tracing::info!(removed = leftovers.len(), "removed leftovers of jobs");
         }

@@ -3,9 +3,9 @@
 use std::io::{self, Write};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
+use densecloud_blobs::BlobReader;
 use densecloud_engine::{EngineError, Outcome, Progress, ProgressHandle};
 
-use crate::blobs::BlobReader;
 use crate::record::Record;
 
 /// What jobs are about.

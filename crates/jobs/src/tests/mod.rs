@@ -1,6 +1,5 @@
 //! The store: its rules one by one, and what its tests share.
 
-mod blobs;
 mod migrations;
 mod model;
 mod records;

@@ -1,0 +1,4 @@
+//! What keeps blobs, through its trait.
+
+mod folder;
+mod suite;
