@@ -193,10 +193,26 @@ pub struct Record {
     pub started: Option<Time>,
     /// When it came to its final state.
     pub finished: Option<Time>,
+    /// Of a job that is worked on in tiles, once these are planned.
+    pub tiles: Option<Tiles>,
     /// Of a job that is done.
     pub result: Option<ResultFile>,
     /// Of a job that has failed.
     pub failure: Option<Failure>,
+}
+
+/// The tiles of a job, and how far they are.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Tiles {
+    /// What the names of the plan's blobs begin with: several attempts may have written one, and this is the one that
+    /// counts.
+    pub plan: String,
+    /// How many there are.
+    pub count: u32,
+    /// How many of them are done.
+    pub done: u32,
+    /// Points of the result that those gave.
+    pub points: u64,
 }
 
 /// The result of a job.
@@ -229,6 +245,9 @@ pub enum Failure {
     GaveUp {
         /// How often it was started.
         attempts: u32,
+        /// Of a job in tiles, the one that it ended under.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        tile: Option<u32>,
     },
     /// A bug; other jobs are not affected.
     Crashed,

@@ -11,6 +11,10 @@ use crate::record::{Draft, Failure, Record, ResultFile, State, Time};
 /// the job was cancelled, or put back, or claimed by another after the lease had run out. So of several workers
 /// that believe to hold a job only one is right, and only its word counts.
 ///
+/// A job is one step of work, or, where whoever has it says so ([`Records::split`]), many: a step for each of its tiles,
+/// which workers may take at once, and then one that joins them. A lease is on a step. The job is running all the while,
+/// and over at the first step that fails.
+///
 /// An implementation calls the disk or a network: each call blocks.
 ///
 /// # Errors
@@ -35,19 +39,22 @@ pub trait Records: Send + Sync {
     /// As [`Records::admit`], since another job may have come between.
     fn insert(&self, id: &str, draft: &Draft, now: Time) -> Result<Submitted, StoreError>;
 
-    /// Leases the queued job whose turn is earliest to a worker until `until`; none where none is queued.
+    /// Leases a step of the job whose turn is earliest to a worker until `until`; none where no step waits. Of the tiles
+    /// that wait it is the first.
     ///
     /// Turns are fair queueing by start times, as live requests have it, with jobs all of one length: a job's turn is
     /// one after that of its client's job before it, and no earlier than one after the clock, which is the turn of
     /// the last job that was started. So clients take turns, and one that comes anew is served soon but not
-    /// before those that wait: the turns that are left before a job's are taken by finitely many.
+    /// before those that wait: the turns that are left before a job's are taken by finitely many. A tile counts as a
+    /// job: when one is claimed, and when the job is split, its next turn is as if it had come just now, after its client's
+    /// others.
     ///
     /// # Errors
     /// What the database says.
     fn claim(&self, worker: &str, now: Time, until: Time) -> Result<Option<Lease>, StoreError>;
 
-    /// Lets go of the running jobs whose leases ran out by `time`: they are queued again at their old turns, so that
-    /// they can be claimed, and those that were started as often as they may be fail. Says which they were.
+    /// Lets go of the steps whose leases ran out by `time`: they wait again, their jobs at their old turns, and the jobs
+    /// of those that were started as often as they may be fail. Says which they were.
     ///
     /// # Errors
     /// What the database says.
@@ -58,6 +65,31 @@ pub trait Records: Send + Sync {
     /// # Errors
     /// What the database says.
     fn beat(&self, lease: &Lease, until: Time) -> Result<bool, StoreError>;
+
+    /// The job is to be done in tiles, each of which gives so many points; their plan is in blobs, whose names begin with
+    /// `plan`, and takes `bytes`, with the parts that will be made by it. The lease ends.
+    ///
+    /// # Errors
+    /// What the database says.
+    fn split(&self, lease: &Lease, plan: &str, sizes: &[u64], bytes: u64) -> Result<bool, StoreError>;
+
+    /// A tile is done: it gave so many points, and its part is in this blob. The last one lets the job be joined.
+    ///
+    /// # Errors
+    /// What the database says.
+    fn tile_done(&self, lease: &Lease, part: &str, points: u64) -> Result<bool, StoreError>;
+
+    /// The blobs of a job's parts that are done, by their tiles.
+    ///
+    /// # Errors
+    /// What the database says.
+    fn parts(&self, id: &str) -> Result<Vec<(u32, String)>, StoreError>;
+
+    /// The job's tiles are of no use to whoever has the lease: it is queued again, as one that was never split.
+    ///
+    /// # Errors
+    /// What the database says.
+    fn unsplit(&self, lease: &Lease) -> Result<bool, StoreError>;
 
     /// The job is done, and this is its result.
     ///
@@ -71,7 +103,7 @@ pub trait Records: Send + Sync {
     /// What the database says.
     fn failed(&self, lease: &Lease, failure: &Failure, now: Time) -> Result<bool, StoreError>;
 
-    /// Puts the job back to its place in the queue, as if it had not been started.
+    /// Puts the step back to its place in the queue, as if it had not been started.
     ///
     /// # Errors
     /// What the database says.
@@ -139,11 +171,44 @@ pub trait Records: Send + Sync {
     /// What the database says.
     fn used(&self) -> Result<u64, StoreError>;
 
-    /// All jobs that have a blob: their names, and those of their results where they are done.
+    /// To be said now and then by each process that works: it is there. Where several share the records, jobs that came to
+    /// programs of another version or model wait for those; if none of these has been there for long, this one takes the
+    /// jobs over, to be begun anew. Says which.
     ///
     /// # Errors
     /// What the database says.
-    fn promised(&self) -> Result<Vec<(String, Option<String>)>, StoreError>;
+    fn attend(&self, process: &str, now: Time) -> Result<Vec<String>, StoreError> {
+        let _ = (process, now);
+        Ok(Vec::new())
+    }
+
+    /// What blobs there should be.
+    ///
+    /// # Errors
+    /// What the database says.
+    fn promised(&self) -> Result<Vec<Promised>, StoreError>;
+}
+
+/// Blobs that there should be of a job.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Promised {
+    /// The cloud of the job of this name.
+    Input(String),
+    /// The same, and what its tiles are and give: whatever begins with its name.
+    Tiles(String),
+    /// This one, the result.
+    Result(String),
+}
+
+/// What a lease is on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Step {
+    /// The job, which has no tiles so far.
+    Whole,
+    /// This tile of it.
+    Tile(u32),
+    /// Joining its tiles, all of which are done.
+    Join,
 }
 
 /// The right to work at a job for a while.
@@ -151,8 +216,10 @@ pub trait Records: Send + Sync {
 pub struct Lease {
     /// The job as it was when it was claimed.
     pub record: Record,
-    /// Counts the claims of this job. It grows with each, also after one that was put back, so it tells this lease
-    /// from every other of the job. [`Record::attempts`], which users see, forgets those that were put back.
+    /// What is to be done of it.
+    pub step: Step,
+    /// Counts the claims of this step. It grows with each, also after one that was put back, so it tells this lease
+    /// from every other of the step. [`Record::attempts`], which users see, forgets those that were put back.
     pub attempt: u64,
     /// Who has it.
     pub worker: String,
@@ -160,14 +227,16 @@ pub struct Lease {
     pub until: Time,
 }
 
-/// A job whose lease had run out.
+/// A step whose lease had run out.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Lapsed {
-    /// Its name.
+    /// The name of its job.
     pub id: String,
+    /// The tile that it is.
+    pub tile: Option<u32>,
     /// How often it was started.
     pub attempts: u32,
-    /// Whether it is queued again; else it has failed as [`Failure::GaveUp`].
+    /// Whether it waits again; else its job has failed as [`Failure::GaveUp`].
     pub again: bool,
 }
 

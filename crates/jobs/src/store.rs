@@ -5,19 +5,20 @@
 //! leftovers, which the next start removes.
 //!
 //! Each attempt at a job writes a result of its own, and the record names the one that counts: two workers that both
-//! believe to hold a job do not overwrite each other's.
+//! believe to hold a job do not overwrite each other's. So it is with the plan of its tiles, and with the part of each.
 
 use std::collections::HashSet;
 use std::io::{self, Write};
 use std::path::Path;
 use std::sync::Arc;
+use std::time::SystemTime;
 
-use densecloud_blobs::{BlobReader, BlobWriter, Blobs, Folder};
+use densecloud_blobs::{BlobReader, BlobWriter, Blobs, Folder, Listed};
 use sha2::{Digest, Sha256};
 
 use crate::error::StoreError;
 use crate::record::{Draft, Failure, Record, ResultFile, State, Time};
-use crate::records::{Admitted, Bounds, Forgotten, Lapsed, Lease, Load, Records, Submitted};
+use crate::records::{Admitted, Bounds, Forgotten, Lapsed, Lease, Load, Promised, Records, Step, Submitted};
 use crate::sqlite::Sqlite;
 
 /// Jobs that outlive the program. Two stores over the same records and blobs are one store.
@@ -36,6 +37,19 @@ fn input_name(id: &str) -> String {
 
 fn result_name(lease: &Lease) -> String {
     format!("{}.{}.out", lease.record.id, lease.attempt)
+}
+
+/// The job that a blob is of.
+fn job_of(blob: &str) -> &str {
+    blob.split_once('.').map_or(blob, |(id, _)| id)
+}
+
+/// What the names of the blobs begin with that an attempt writes for others: its plan, or its part.
+fn shared_name(lease: &Lease) -> String {
+    match lease.step {
+        Step::Tile(tile) => format!("{}.{}.part{tile}", lease.record.id, lease.attempt),
+        Step::Whole | Step::Join => format!("{}.{}.plan", lease.record.id, lease.attempt),
+    }
 }
 
 impl Store {
@@ -62,16 +76,53 @@ impl Store {
 
     /// Removes every blob that no record promises. Others' results that are being written would be among them.
     fn clean(&self) -> Result<(), StoreError> {
-        let promised = self.records.promised()?;
-        let kept: HashSet<String> =
-            promised.into_iter().map(|(id, result)| result.unwrap_or_else(|| input_name(&id))).collect();
+        let (mut names, mut of_tiles) = (HashSet::new(), HashSet::new());
+        for promised in self.records.promised()? {
+            match promised {
+                Promised::Input(id) => names.insert(input_name(&id)),
+                Promised::Tiles(id) => of_tiles.insert(id),
+                Promised::Result(blob) => names.insert(blob),
+            };
+        }
+        self.remove_others(|blob| names.contains(&blob.name) || of_tiles.contains(job_of(&blob.name)))
+    }
+
+    /// Removes blobs that nobody needs, where others may be at work: those that are older than `before`, of jobs that are
+    /// over or unknown, but for results.
+    ///
+    /// # Errors
+    /// What the storage says.
+    pub fn collect(&self, before: SystemTime) -> Result<(), StoreError> {
+        let (mut results, mut open) = (HashSet::new(), HashSet::new());
+        for promised in self.records.promised()? {
+            match promised {
+                Promised::Input(id) | Promised::Tiles(id) => open.insert(id),
+                Promised::Result(blob) => results.insert(blob),
+            };
+        }
+        self.remove_others(|blob| {
+            blob.modified >= before || results.contains(&blob.name) || open.contains(job_of(&blob.name))
+        })
+    }
+
+    fn remove_others(&self, is_kept: impl Fn(&Listed) -> bool) -> Result<(), StoreError> {
         let mut leftovers = self.blobs.list("")?;
-        leftovers.retain(|blob| !kept.contains(&blob.name));
+        leftovers.retain(|blob| !is_kept(blob));
         leftovers.iter().try_for_each(|blob| self.blobs.delete(&blob.name))?;
         if !leftovers.is_empty() {
             tracing::info!(removed = leftovers.len(), "removed leftovers of jobs");
         }
         Ok(())
+    }
+
+    /// Removes the blobs of a job that is over, but for its result.
+    fn sweep(&self, id: &str, has_tiles: bool, result: Option<&str>) -> io::Result<()> {
+        if !has_tiles {
+            return self.blobs.delete(&input_name(id));
+        }
+        let blobs = self.blobs.list(&format!("{id}."))?;
+        let mut others = blobs.iter().filter(|blob| Some(&*blob.name) != result);
+        others.try_for_each(|blob| self.blobs.delete(&blob.name))
     }
 
     /// See [`Records::admit`].
@@ -175,13 +226,25 @@ impl Store {
 
     /// See [`Records::lapse`].
     fn lapse(&self, time: Time, now: Time) -> Result<(), StoreError> {
-        for Lapsed { id, attempts, again } in self.records.lapse(time, now)? {
-            tracing::warn!(job = id, attempts, again, "job was interrupted");
+        for Lapsed { id, tile, attempts, again } in self.records.lapse(time, now)? {
+            tracing::warn!(job = id, tile, attempts, again, "job was interrupted");
             if !again {
-                self.blobs.delete(&input_name(&id))?;
+                self.sweep(&id, self.has_tiles(&id)?, None)?;
             }
         }
         Ok(())
+    }
+
+    fn has_tiles(&self, id: &str) -> Result<bool, StoreError> {
+        Ok(self.records.get(id)?.is_some_and(|job| job.tiles.is_some()))
+    }
+
+    /// See [`Records::attend`].
+    ///
+    /// # Errors
+    /// What the database says.
+    pub fn attend(&self, process: &str, now: Time) -> Result<Vec<String>, StoreError> {
+        self.records.attend(process, now)
     }
 
     /// See [`Records::beat`].
@@ -201,6 +264,7 @@ impl Store {
         if put {
             // It may be there whole, where only the record could not be written.
             self.blobs.delete(&result_name(lease))?;
+            self.discard(lease)?;
         }
         Ok(put)
     }
@@ -213,6 +277,80 @@ impl Store {
         self.records.defer(lease)
     }
 
+    /// Where whoever has a lease puts blobs that other steps of the job need, and finds theirs.
+    #[must_use]
+    pub fn place(&self, lease: &Lease) -> Place {
+        let plan = lease.record.tiles.as_ref().map(|tiles| tiles.plan.clone());
+        Place { blobs: Arc::clone(&self.blobs), own: shared_name(lease), plan }
+    }
+
+    /// Removes what an attempt has put into its [place](Self::place).
+    ///
+    /// # Errors
+    /// What the storage says.
+    pub fn discard(&self, lease: &Lease) -> io::Result<()> {
+        let own = self.blobs.list(&shared_name(lease))?;
+        own.iter().try_for_each(|blob| self.blobs.delete(&blob.name))
+    }
+
+    /// The plan of a job's tiles is in the place of the lease; see [`Records::split`]. False, and the plan removed, where
+    /// the lease is not the job's any more.
+    ///
+    /// # Errors
+    /// What the storage says; the job still runs then.
+    pub fn split(&self, lease: &Lease, sizes: &[u64], bytes: u64) -> Result<bool, StoreError> {
+        let plan = shared_name(lease);
+        let split = self.records.split(lease, &plan, sizes, bytes)?;
+        if !split {
+            // Unless it was split under this very lease, and whoever asks has not heard of it.
+            let counts =
+                self.records.get(&lease.record.id)?.and_then(|job| job.tiles).map(|tiles| tiles.plan);
+            if counts.as_ref() != Some(&plan) {
+                self.discard(lease)?;
+            }
+        }
+        Ok(split)
+    }
+
+    /// A tile's part is in the place of the lease, and has so many points; see [`Records::tile_done`]. False, and the part
+    /// removed, where the lease is not the tile's any more.
+    ///
+    /// # Errors
+    /// What the storage says; the tile still runs then.
+    pub fn tile_done(&self, lease: &Lease, points: u64) -> Result<bool, StoreError> {
+        let part = shared_name(lease);
+        let done = self.records.tile_done(lease, &part, points)?;
+        if !done && !self.records.parts(&lease.record.id)?.iter().any(|(_, blob)| *blob == part) {
+            self.discard(lease)?;
+        }
+        Ok(done)
+    }
+
+    /// See [`Records::parts`].
+    ///
+    /// # Errors
+    /// What the database says.
+    pub fn parts(&self, id: &str) -> Result<Vec<(u32, String)>, StoreError> {
+        self.records.parts(id)
+    }
+
+    /// See [`Records::unsplit`].
+    ///
+    /// # Errors
+    /// What the storage says.
+    pub fn unsplit(&self, lease: &Lease) -> Result<bool, StoreError> {
+        let unsplit = self.records.unsplit(lease)?;
+        if unsplit {
+            let blobs = self.blobs.list(&format!("{}.", lease.record.id))?;
+            let input = input_name(&lease.record.id);
+            blobs
+                .iter()
+                .filter(|blob| blob.name != input)
+                .try_for_each(|blob| self.blobs.delete(&blob.name))?;
+        }
+        Ok(unsplit)
+    }
+
     /// Opens a job's cloud.
     ///
     /// # Errors
@@ -221,22 +359,13 @@ impl Store {
         self.blobs.open(&input_name(id))
     }
 
-    /// Writes a job's result with `fill`, which also gives what is to be told of it. Nobody sees it
-    /// before [`Store::done`].
+    /// Begins a job's result. Nobody sees it before [`Store::done`].
     ///
     /// # Errors
-    /// What `fill` gives, or the storage says; nothing is left then.
-    pub fn write_result<E: From<io::Error>>(
-        &self,
-        lease: &Lease,
-        fill: impl FnOnce(&mut dyn Write) -> Result<String, E>,
-    ) -> Result<ResultFile, E> {
-        let blob = result_name(lease);
-        let mut sink = Sink { blob: self.blobs.create(&blob)?, hash: Sha256::new(), bytes: 0 };
-        let about = fill(&mut sink)?;
-        let Sink { blob: writer, hash, bytes } = sink;
-        writer.finish()?;
-        Ok(ResultFile { blob, bytes, sha256: hex::encode(hash.finalize()), about })
+    /// What the storage says.
+    pub fn result_writer(&self, lease: &Lease) -> io::Result<ResultWriter> {
+        let name = result_name(lease);
+        Ok(ResultWriter { blob: self.blobs.create(&name)?, name, hash: Sha256::new(), bytes: 0 })
     }
 
     /// A job is done; false, and the result removed, where the lease is not the job's any more.
@@ -244,10 +373,10 @@ impl Store {
     /// # Errors
     /// What the storage says; the job still runs then.
     pub fn done(&self, lease: &Lease, result: &ResultFile, now: Time) -> Result<bool, StoreError> {
-        let id = &lease.record.id;
+        let Record { id, tiles, .. } = &lease.record;
         let done = self.records.done(lease, result, now)?;
         if done {
-            self.blobs.delete(&input_name(id))?;
+            self.sweep(id, tiles.is_some(), Some(&result.blob))?;
         } else {
             // Unless it was done under this very lease, and whoever asks has not heard of it.
             let counts = self.records.get(id)?.and_then(|job| job.result).map(|result| result.blob);
@@ -265,7 +394,7 @@ impl Store {
     pub fn failed(&self, lease: &Lease, failure: &Failure, now: Time) -> Result<bool, StoreError> {
         let failed = self.records.failed(lease, failure, now)?;
         if failed {
-            self.blobs.delete(&input_name(&lease.record.id))?;
+            self.sweep(&lease.record.id, lease.record.tiles.is_some(), None)?;
         }
         Ok(failed)
     }
@@ -277,7 +406,7 @@ impl Store {
     pub fn cancel(&self, id: &str, now: Time) -> Result<bool, StoreError> {
         let cancelled = self.records.cancel(id, now)?;
         if cancelled {
-            self.blobs.delete(&input_name(id))?;
+            self.sweep(id, self.has_tiles(id)?, None)?;
         }
         Ok(cancelled)
     }
@@ -341,14 +470,38 @@ impl Drop for Input {
     }
 }
 
-/// Writes, counts and hashes.
-struct Sink {
+/// Blobs of one job, that its steps leave for each other.
+#[derive(Clone)]
+pub struct Place {
+    /// Where they are.
+    pub blobs: Arc<dyn Blobs>,
+    /// What the names of those begin with that this step writes: those of the plan, or of the tile's part.
+    pub own: String,
+    /// The same of the plan that is worked by.
+    pub plan: Option<String>,
+}
+
+/// A result that is being written, counted and hashed; dropped before it is finished, it leaves nothing.
+pub struct ResultWriter {
+    name: String,
     blob: Box<dyn BlobWriter>,
     hash: Sha256,
     bytes: u64,
 }
 
-impl Write for Sink {
+impl ResultWriter {
+    /// Brings it to durable storage, with what is to be told of it.
+    ///
+    /// # Errors
+    /// What the storage says; nothing is left then.
+    pub fn finish(self, about: String) -> io::Result<ResultFile> {
+        let Self { name: blob, blob: writer, hash, bytes } = self;
+        writer.finish()?;
+        Ok(ResultFile { blob, bytes, sha256: hex::encode(hash.finalize()), about })
+    }
+}
+
+impl Write for ResultWriter {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         let count = self.blob.write(bytes)?;
         self.hash.update(&bytes[..count]);

@@ -7,21 +7,65 @@ use densecloud_blobs::BlobReader;
 use densecloud_engine::{EngineError, Outcome, Progress, ProgressHandle};
 
 use crate::record::Record;
+use crate::store::Place;
 
 /// What jobs are about.
 pub trait Work: Send + Sync + 'static {
     /// Computes a job's result from the cloud in `input`, writes it into `sink`, and gives what is to be told of
-    /// it. Blocks.
+    /// it; or plans tiles of it, and puts the plan into its [own place](Place::own). Blocks.
     ///
     /// # Errors
-    /// Why there is none.
-    fn run(
+    /// Why there is neither.
+    fn begin(
         &self,
         job: &Record,
         input: Box<dyn BlobReader>,
+        place: &Place,
+        task: &Task,
+        sink: &mut dyn Write,
+    ) -> Result<Begun, Stopped>;
+
+    /// Works on one tile of a job by its [plan](Place::plan), puts its part into its [own place](Place::own), and gives the
+    /// part's points. The task's progress is that of the job. Blocks.
+    ///
+    /// # Errors
+    /// Why there is no part.
+    fn tile(&self, job: &Record, tile: u32, place: &Place, task: &Task) -> Result<u64, Stopped>;
+
+    /// Computes a job's result from the parts of all its tiles, as [`Work::begin`] does.
+    ///
+    /// # Errors
+    /// Why there is none.
+    fn join(
+        &self,
+        job: &Record,
+        parts: Parts,
+        place: &Place,
         task: &Task,
         sink: &mut dyn Write,
     ) -> Result<String, Stopped>;
+}
+
+/// What the parts of all tiles are joined from.
+pub struct Parts {
+    /// The job's cloud.
+    pub input: Box<dyn BlobReader>,
+    /// What the names of each part's blobs begin with, in the order of the tiles.
+    pub names: Vec<String>,
+}
+
+/// What became of a job that was begun.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Begun {
+    /// Its result is written, and this is to be told of it.
+    Done(String),
+    /// It is to be done in tiles.
+    Split {
+        /// Points of the result that each tile gives.
+        sizes: Vec<u64>,
+        /// Bytes that the plan takes, with the parts that will be made by it.
+        bytes: u64,
+    },
 }
 
 /// Why a job that was started has no result.
@@ -34,6 +78,8 @@ pub enum Stopped {
     Later,
     /// It was cancelled.
     Cancelled,
+    /// Its tiles are planned as this program does not work on them; it has to be begun anew.
+    Differs,
     /// A bug.
     Crashed,
     /// Its cloud cannot be read, or its result not written.

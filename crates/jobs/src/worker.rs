@@ -7,15 +7,16 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
+use densecloud_engine::Progress;
 use tokio::sync::watch;
 
 use crate::clock::{Clock, SystemClock};
 use crate::error::StoreError;
-use crate::record::{Draft, Failure, Record, Time};
-use crate::records::{Lease, Submitted};
+use crate::record::{Draft, Failure, Record, ResultFile, Time};
+use crate::records::{Lease, Step, Submitted};
 use crate::settings::Settings;
 use crate::store::{Input, Store};
-use crate::work::{Checked, Stopped, Task, Work, passes};
+use crate::work::{Begun, Checked, Parts, Stopped, Task, Work, passes};
 
 /// What deleting did to a job.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -43,17 +44,43 @@ pub struct Jobs {
 
 #[derive(Default)]
 struct Running {
-    tasks: HashMap<String, Run>,
-    /// Jobs whose end could not be written: they run in the records alone.
+    tasks: HashMap<(String, Step), Run>,
+    /// Steps whose end could not be written: they run in the records alone.
     lost: Vec<Lease>,
     threads: Vec<JoinHandle<()>>,
     stopping: bool,
 }
 
-/// A job that one of the threads works at.
+/// A step that one of the threads works at.
 struct Run {
     lease: Lease,
     task: Arc<Task>,
+}
+
+/// The steps of a job that threads here are at.
+#[derive(Clone, Default)]
+pub struct AtWork(Vec<Arc<Task>>);
+
+impl AtWork {
+    /// Whether there is none.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
+    /// How far the job is by them, beside its tiles that are done; none while none has begun.
+    #[must_use]
+    pub fn progress(&self) -> Option<Progress> {
+        let add = |sum: Progress, one: Progress| Progress { fraction: sum.fraction + one.fraction, ..sum };
+        self.0.iter().filter_map(|task| task.progress()).reduce(add)
+    }
+}
+
+/// What became of a step.
+enum Ended {
+    Result(ResultFile),
+    Split { sizes: Vec<u64>, bytes: u64 },
+    Tile(u64),
 }
 
 /// How long a lease is, in milliseconds. It is extended when half of it is over, so a worker that ended is missed
@@ -68,6 +95,13 @@ const BATCH: u32 = 200;
 const PAUSE: Duration = Duration::from_millis(500);
 /// Before a database that could not be written is.
 const BROKEN: Duration = Duration::from_secs(2);
+
+impl Running {
+    /// The steps of a job.
+    fn of<'a>(&'a self, id: &'a str) -> impl Iterator<Item = &'a Run> {
+        self.tasks.iter().filter(move |((job, _), _)| job == id).map(|(_, run)| run)
+    }
+}
 
 impl Jobs {
     /// Opens the store in the settings' folder, under the computer's clock. Nothing runs before [`Jobs::start`].
@@ -153,9 +187,7 @@ impl Jobs {
     pub fn delete(&self, id: &str) -> Result<Option<Deleted>, StoreError> {
         let running = self.lock();
         let deleted = if self.store.cancel(id, self.now())? {
-            if let Some(run) = running.tasks.get(id) {
-                run.task.cancel();
-            }
+            running.of(id).for_each(|run| run.task.cancel());
             tracing::info!(job = id, "job cancelled");
             Some(Deleted::Cancelled)
         } else if self.store.delete(id)? {
@@ -169,18 +201,21 @@ impl Jobs {
         Ok(deleted)
     }
 
-    /// A running job.
-    pub fn task(&self, id: &str) -> Option<Arc<Task>> {
-        self.lock().tasks.get(id).map(|run| Arc::clone(&run.task))
+    /// The steps of a job that are at work here.
+    pub fn at_work(&self, id: &str) -> AtWork {
+        AtWork(self.lock().of(id).map(|run| Arc::clone(&run.task)).collect())
     }
 
-    /// Points that running jobs still have to make, beside one that may have begun since it was looked up.
+    /// Points that jobs at work here still have to make, beside one that may have begun since it was looked up.
     pub fn points_running(&self, beside: &str) -> u64 {
-        let left = |(_, run): (&String, &Run)| {
-            let done = run.task.progress().map_or(0.0, |progress| progress.fraction);
-            (run.lease.record.points_out as f64 * (1.0 - done)) as u64
-        };
-        self.lock().tasks.iter().filter(|(id, _)| *id != beside).map(left).sum()
+        let mut left: HashMap<String, f64> = HashMap::new();
+        for ((id, _), run) in &self.lock().tasks {
+            let Record { points_out, tiles, .. } = &run.lease.record;
+            let before = tiles.as_ref().map_or(0, |tiles| tiles.points);
+            let made = run.task.progress().map_or(0.0, |progress| progress.fraction) * *points_out as f64;
+            *left.entry(id.clone()).or_insert(points_out.saturating_sub(before) as f64) -= made;
+        }
+        left.iter().filter(|(id, _)| *id != beside).map(|(_, left)| left.max(0.0) as u64).sum()
     }
 
     /// Changes with the state of any job.
@@ -193,7 +228,7 @@ impl Jobs {
     pub fn stop(&self) {
         let mut running = self.lock();
         running.stopping = true;
-        for (id, Run { lease, task }) in &running.tasks {
+        for ((id, _), Run { lease, task }) in &running.tasks {
             task.cancel();
             match self.store.put_back(lease) {
                 Ok(true) => tracing::info!(job = id, "job put back"),
@@ -262,10 +297,13 @@ impl Jobs {
         let Some(lease) = self.store.claim(worker, now, now.saturating_add(LEASE))? else { return Ok(None) };
         let task = Arc::new(Task::default());
         let run = Run { lease: lease.clone(), task: Arc::clone(&task) };
-        running.tasks.insert(lease.record.id.clone(), run);
+        running.tasks.insert((lease.record.id.clone(), lease.step), run);
         self.changes.send_replace(());
         let Record { id, request_id, attempts, .. } = &lease.record;
-        tracing::info!(job = id, request = request_id, attempt = attempts, "job started");
+        match lease.step {
+            Step::Whole => tracing::info!(job = id, request = request_id, attempt = attempts, "job started"),
+            step => tracing::info!(job = id, request = request_id, ?step, "step of a job started"),
+        }
         Ok(Some((lease, task)))
     }
 
@@ -273,7 +311,7 @@ impl Jobs {
     fn renew(&self, running: &mut Running, now: Time) -> Result<(), StoreError> {
         let until = now.saturating_add(LEASE);
         let mut taken = Vec::new();
-        for (id, Run { lease, task }) in &mut running.tasks {
+        for (key @ (id, _), Run { lease, task }) in &mut running.tasks {
             if lease.until.saturating_sub(now) > LEASE / 2 {
                 continue;
             }
@@ -282,10 +320,10 @@ impl Jobs {
             } else {
                 tracing::warn!(job = id, "the lease of a job is another's");
                 task.cancel();
-                taken.push(id.clone());
+                taken.push(key.clone());
             }
         }
-        taken.iter().for_each(|id| drop(running.tasks.remove(id)));
+        taken.iter().for_each(|key| drop(running.tasks.remove(key)));
         Ok(())
     }
 
@@ -327,43 +365,109 @@ impl Jobs {
     }
 
     fn run(&self, lease: &Lease, task: &Task, work: &dyn Work) -> Result<(), Pause> {
-        let job = &lease.record;
-        let id = &job.id;
+        let id = &lease.record.id;
         // A panic is a bug in one job; it must not take the thread, and all other jobs, with it.
-        let made = std::panic::catch_unwind(AssertUnwindSafe(|| {
-            let input = self.store.input(id)?;
-            self.store.write_result(lease, |sink| work.run(job, input, task, &mut Checked { sink, task }))
-        }));
+        let ended = std::panic::catch_unwind(AssertUnwindSafe(|| self.attempt(lease, task, work)));
+        let ended = ended.unwrap_or(Err(Stopped::Crashed));
+        if ended.is_err() {
+            // What is left goes with the job.
+            let _ = self.store.discard(lease);
+        }
         // Against `stop` and `delete`, which may just now be at it.
         let mut running = self.lock();
         // Under the same lock as the state: once it is put back, another thread may start it anew.
-        if running.tasks.get(id).is_some_and(|run| run.lease.attempt == lease.attempt) {
-            running.tasks.remove(id);
+        let key = (id.clone(), lease.step);
+        if running.tasks.get(&key).is_some_and(|run| run.lease.attempt == lease.attempt) {
+            running.tasks.remove(&key);
         }
-        let kept = match made.unwrap_or(Err(Stopped::Crashed)) {
-            Ok(result) => self.store.done(lease, &result, self.now()).inspect(|&done| {
-                if done {
-                    tracing::info!(job = id, request = job.request_id, bytes = result.bytes, "job done");
+        let kept = match ended {
+            Err(_) if task.cancelled() => Ok(()),
+            Err(stopped) => match self.stop_at(lease, stopped) {
+                Ok(Some(failure)) => {
+                    // The job is over: what others do of it is of no use.
+                    running.of(id).for_each(|run| run.task.cancel());
+                    self.fail(lease, &failure).map(|_| ())
                 }
-            }),
-            Err(_) if task.cancelled() => return Ok(()),
-            Err(Stopped::Later | Stopped::Cancelled) => return Err(self.defer(running, lease)),
-            Err(Stopped::Refused(why)) => self.fail(lease, &Failure::Refused(why)),
-            Err(Stopped::Crashed) => self.fail(lease, &Failure::Crashed),
-            Err(Stopped::Storage(error)) if passes(&error) => {
-                tracing::warn!(job = id, %error, "a job is tried again later");
-                return Err(self.defer(running, lease));
-            }
-            Err(Stopped::Storage(error)) => {
-                tracing::error!(job = id, %error, "a job's file cannot be read or written");
-                let full = StoreError::from(io::Error::from(error.kind())).is_full();
-                self.fail(lease, &Failure::Storage { why: error.to_string(), full })
-            }
+                Ok(None) => return Err(Pause),
+                Err(error) => Err(error),
+            },
+            Ok(ended) => self.keep(lease, &ended),
         };
-        kept.map(|_| ()).map_err(|error| {
+        kept.map_err(|error| {
             lose(running, lease, &error);
             Pause
         })
+    }
+
+    /// Does a step.
+    fn attempt(&self, lease: &Lease, task: &Task, work: &dyn Work) -> Result<Ended, Stopped> {
+        let (job, place) = (&lease.record, self.store.place(lease));
+        if let Step::Tile(tile) = lease.step {
+            return work.tile(job, tile, &place, task).map(Ended::Tile);
+        }
+        let input = self.store.input(&job.id)?;
+        let mut sink = self.store.result_writer(lease)?;
+        let mut checked = Checked { sink: &mut sink, task };
+        let about = match lease.step {
+            Step::Join => {
+                let names = self.store.parts(&job.id).map_err(io::Error::other)?;
+                let parts = Parts { input, names: names.into_iter().map(|(_, name)| name).collect() };
+                work.join(job, parts, &place, task, &mut checked)?
+            }
+            _ => match work.begin(job, input, &place, task, &mut checked)? {
+                Begun::Done(about) => about,
+                Begun::Split { sizes, bytes } => return Ok(Ended::Split { sizes, bytes }),
+            },
+        };
+        Ok(Ended::Result(sink.finish(about)?))
+    }
+
+    /// Keeps what came of a step.
+    fn keep(&self, lease: &Lease, ended: &Ended) -> Result<(), StoreError> {
+        let Record { id, request_id, .. } = &lease.record;
+        match ended {
+            Ended::Result(result) => {
+                if self.store.done(lease, result, self.now())? {
+                    tracing::info!(job = id, request = request_id, bytes = result.bytes, "job done");
+                }
+            }
+            Ended::Split { sizes, bytes } => {
+                if self.store.split(lease, sizes, *bytes)? {
+                    tracing::info!(job = id, request = request_id, tiles = sizes.len(), "job planned");
+                    self.queued.notify_all();
+                }
+            }
+            Ended::Tile(points) => {
+                if self.store.tile_done(lease, *points)? {
+                    tracing::info!(job = id, request = request_id, step = ?lease.step, points, "tile done");
+                    self.queued.notify_one();
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// A step has no result: what its job fails of, or none where it waits again.
+    fn stop_at(&self, lease: &Lease, stopped: Stopped) -> Result<Option<Failure>, StoreError> {
+        let id = &lease.record.id;
+        Ok(Some(match stopped {
+            Stopped::Later | Stopped::Cancelled => return self.store.defer(lease).map(|_| None),
+            Stopped::Storage(error) if passes(&error) => {
+                tracing::warn!(job = id, %error, "a job is tried again later");
+                return self.store.defer(lease).map(|_| None);
+            }
+            Stopped::Differs => {
+                tracing::warn!(job = id, "the tiles of a job are planned anew: they are another version's");
+                return self.store.unsplit(lease).map(|_| None);
+            }
+            Stopped::Refused(why) => Failure::Refused(why),
+            Stopped::Crashed => Failure::Crashed,
+            Stopped::Storage(error) => {
+                tracing::error!(job = id, %error, "a job's file cannot be read or written");
+                let full = StoreError::from(io::Error::from(error.kind())).is_full();
+                Failure::Storage { why: error.to_string(), full }
+            }
+        }))
     }
 
     fn fail(&self, lease: &Lease, failure: &Failure) -> Result<bool, StoreError> {
@@ -373,13 +477,6 @@ impl Jobs {
                 tracing::info!(job = id, request = request_id, ?failure, "job failed");
             }
         })
-    }
-
-    fn defer(&self, running: MutexGuard<'_, Running>, lease: &Lease) -> Pause {
-        if let Err(error) = self.store.defer(lease) {
-            lose(running, lease, &error);
-        }
-        Pause
     }
 }
 

@@ -52,6 +52,7 @@ pub use connection::prefix::BasePath;
 use app::App;
 use densecloud_engine::{Engine, EngineError};
 use densecloud_jobs::{Jobs, StoreError};
+use densecloud_tiles::Folder;
 
 /// Why a server did not start, or ended by itself.
 #[derive(Debug, thiserror::Error)]
@@ -135,12 +136,20 @@ pub async fn run(
         (connections, deadline) = serve => {
             end(connections, deadline).await;
             join_jobs(&app, deadline).await;
+            clear(&app).await;
         }
         error = warm_up => return Err(error),
         () = fold => {}
     }
     tracing::info!("stopped");
     Ok(())
+}
+
+/// Removes the tiles that threads still had as the last connection ended.
+async fn clear(app: &App) {
+    let folders = [app.config.temp_dir(), jobs::tiles::scratch(app)];
+    // Only a panic could come back, and that is in the log.
+    let _ = spawn_blocking(move || folders.iter().for_each(|folder| Folder::remove_own(folder))).await;
 }
 
 /// Opens the store; blocks for moments, before anything is served.

@@ -104,6 +104,19 @@ impl Folder {
         Ok(())
     }
 
+    /// Removes the [temporary](Self::temporary) ones inside of `parent` that this process made, whoever works in them: for
+    /// when it ends, and nobody waits any more for threads that do.
+    pub fn remove_own(parent: &Path) {
+        let (named, own) = (format!("{TEMPORARY}{}-", std::process::id()), fs::read_dir(parent));
+        for entry in own.into_iter().flatten().flatten() {
+            let is_own = |name: &str| name.trim_start_matches('.').starts_with(&named);
+            if entry.file_name().to_str().is_some_and(is_own) {
+                // The next one removes what is left.
+                let _ = discard(&entry.path());
+            }
+        }
+    }
+
     /// A new one at that very place, to plan tiles in; whatever works on them may do so at once.
     ///
     /// # Errors
@@ -344,6 +357,20 @@ mod tests {
         assert!(first.manifest().exists() && !left.exists() && first.path() != second.path());
         drop((first, second));
         assert_eq!(names(parent.path()), ["densecloud-tiles"]);
+    }
+
+    #[test]
+    fn a_process_that_ends_takes_its_folders_along() {
+        let parent = tempfile::tempdir().expect("a folder");
+        let own = Folder::temporary(parent.path()).expect("a folder");
+        fs::write(own.manifest(), "x").expect("a file");
+        let others = parent.path().join(format!("{TEMPORARY}{}0-0", std::process::id()));
+        fs::create_dir(&others).expect("a folder");
+        Folder::remove_own(parent.path());
+        assert!(!own.path().exists() && others.exists());
+        drop(own);
+        assert_eq!(names(parent.path()).len(), 1);
+        Folder::remove_own(&parent.path().join("none"));
     }
 
     #[test]

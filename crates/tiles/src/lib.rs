@@ -23,6 +23,7 @@ mod origin;
 mod part;
 mod plan;
 mod run;
+mod shelf;
 mod size;
 #[cfg(test)]
 mod tests;
@@ -36,6 +37,7 @@ pub use input::{Found, Input, Large};
 pub use join::Join;
 pub use part::{PartReader, Points};
 pub use plan::plan;
+pub use shelf::Shelf;
 pub use size::{TILE_POINTS, TileSize, TooLittle};
 pub use tiling::Tiling;
 

@@ -135,6 +135,16 @@ impl Manifest {
         Partition::from_splits(self.cells.iter().map(split).collect())
     }
 
+    /// What is told of the result's file as a whole, by what is of the input's.
+    pub(crate) fn origin(&self, input: &Origin) -> Origin {
+        let (mut origin, _) = self.causes.options.finish.origin(input, self.points == self.finite);
+        if self.tiles.len() > 1 {
+            origin.drop_references();
+        }
+        origin.comments.push(self.provenance.clone());
+        origin
+    }
+
     /// What is told of the result, before the work.
     pub(crate) fn report(&self, origin: Origin) -> Report {
         Report {

@@ -1,5 +1,7 @@
 //! A tile's part of the result, as it lies on the disk.
 
+use std::fmt;
+use std::io::{self, Read};
 use std::path::PathBuf;
 
 use densecloud_cloud::{Attribute, Position, Values};
@@ -17,6 +19,17 @@ pub type Points = (Vec<Attribute>, Vec<Position>);
 pub struct PartReader {
     path: PathBuf,
     chunks: Chunks,
+}
+
+/// Opens parts that do not lie in the folder.
+pub(crate) struct Elsewhere(Box<Opener>);
+
+type Opener = dyn Fn(u32) -> io::Result<Box<dyn Read + Send>> + Send + Sync;
+
+impl fmt::Debug for Elsewhere {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("elsewhere")
+    }
 }
 
 impl Done {
@@ -43,7 +56,21 @@ impl Tiling {
     /// [`TilesError::File`].
     pub fn part(&self, tile: u32) -> Result<PartReader, TilesError> {
         let path = self.folder.part(tile);
-        Ok(PartReader { chunks: Chunks::open(&path)?, path })
+        let chunks = match &self.elsewhere {
+            None => Chunks::open(&path)?,
+            Some(Elsewhere(open)) => Chunks::of(&path, open(tile).map_err(TilesError::file(&path))?),
+        };
+        Ok(PartReader { chunks, path })
+    }
+
+    /// The same, with parts that are read from elsewhere, each when its turn comes. What is known of those tiles lies in the
+    /// folder.
+    #[must_use]
+    pub fn with_parts(
+        self,
+        open: impl Fn(u32) -> io::Result<Box<dyn Read + Send>> + Send + Sync + 'static,
+    ) -> Self {
+        Self { elsewhere: Some(Elsewhere(Box::new(open))), ..self }
     }
 
     /// Refuses a tile whose part has other attributes than the first.

@@ -10,10 +10,11 @@ use densecloud_geometry::Partition;
 
 use crate::input::Large;
 use crate::manifest::{Causes, Manifest};
+use crate::part::Elsewhere;
 
 use crate::plan::causes;
 use crate::run::Done;
-use crate::{Folder, Step, TilesError, Work, origin};
+use crate::{Folder, Step, TilesError, Watch, Work, origin};
 
 /// A cloud that is cut into tiles: each can be [run](Self::run) alone, in any order and as often as one likes, by any number
 /// of programs at once; then they are [joined](Self::join).
@@ -28,6 +29,8 @@ pub struct Tiling {
     pub(crate) report: Report,
     /// Whether the input knew more of its whole than the folder does.
     pub(crate) lost: bool,
+    /// Where the parts are, if not in the folder.
+    pub(crate) elsewhere: Option<Elsewhere>,
 }
 
 impl Tiling {
@@ -43,7 +46,16 @@ impl Tiling {
             return Err(broken("it has other tiles than boxes"));
         }
         let (plan, report) = (manifest.plan(), manifest.report(origin));
-        Ok(Self { folder: folder.clone(), manifest, partition, whole, plan, report, lost: false })
+        Ok(Self {
+            folder: folder.clone(),
+            manifest,
+            partition,
+            whole,
+            plan,
+            report,
+            lost: false,
+            elsewhere: None,
+        })
     }
 
     /// What another program has planned in the folder.
@@ -73,17 +85,32 @@ impl Tiling {
             return differs(other);
         }
         work.watch.step(Step::Read);
-        let Ending { origin, .. } = rest(input, work)?;
+        let Ending { origin, .. } = rest(input, work.watch)?;
         if let Some(other) = manifest.causes.differs(&causes(work, origin.sha256)) {
             return differs(other);
         }
-        let is_finite = manifest.points == manifest.finite;
-        let (mut origin, _) = work.options.finish.origin(&origin, is_finite);
-        if manifest.tiles.len() > 1 {
-            origin.drop_references();
-        }
-        origin.comments.push(manifest.provenance.clone());
+        let origin = manifest.origin(&origin);
         Self::of(folder, manifest, whole, origin)
+    }
+
+    /// Whether the input's format knows more of its whole than the folder keeps, which [`Tiling::with_input`] takes from
+    /// there. Without, the result is told to have lost it.
+    #[must_use]
+    pub fn lacks_origin(&self) -> bool {
+        self.lost
+    }
+
+    /// Reads the input once more, to its end, for what is told of its whole.
+    ///
+    /// # Errors
+    /// [`TilesError::Broken`] where it is not the input that was planned, and as reading it.
+    pub fn with_input(self, input: Large<'_>, watch: &dyn Watch) -> Result<Self, TilesError> {
+        let Ending { origin, .. } = rest(input, watch)?;
+        if origin.sha256.map(hex::encode) != self.manifest.causes.input {
+            return Err(TilesError::broken(&self.folder.manifest(), "it is of another input"));
+        }
+        let report = self.manifest.report(self.manifest.origin(&origin));
+        Ok(Self { report, lost: false, ..self })
     }
 
     /// Checks that it was planned by this version of the program, for that model: parts of others would not fit.
@@ -217,15 +244,15 @@ fn stored(folder: &Folder) -> Result<(Manifest, Whole), TilesError> {
 }
 
 /// Reads a cloud to its end for what is told there.
-fn rest(input: Large<'_>, work: &Work<'_>) -> Result<Ending, TilesError> {
+fn rest(input: Large<'_>, watch: &dyn Watch) -> Result<Ending, TilesError> {
     let Large { mut reader, first, .. } = input;
     let mut points = first.iter().map(|block| block.positions.len() as u64).sum();
     drop(first);
     let mut block = Block::default();
     while reader.next_block(crate::chunk::ROWS, &mut block)? {
         points += block.positions.len() as u64;
-        work.watch.read(points);
-        if work.watch.cancelled() {
+        watch.read(points);
+        if watch.cancelled() {
             return Err(CascadeError::Cancelled.into());
         }
     }

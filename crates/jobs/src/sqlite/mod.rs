@@ -2,6 +2,7 @@
 
 pub(crate) mod rows;
 mod schema;
+mod steps;
 
 use std::fs::{File, TryLockError};
 use std::path::Path;
@@ -11,10 +12,13 @@ use rusqlite::{Connection, Params, Row, params};
 
 use crate::error::StoreError;
 use crate::record::{Draft, Failure, Record, ResultFile, State, Time};
-use crate::records::{Admitted, Bounds, Forgotten, Lapsed, Lease, Load, Records, Submitted};
+use crate::records::{Admitted, Bounds, Forgotten, Lapsed, Lease, Load, Promised, Records, Step, Submitted};
 use rows::{
-    COLUMNS, change, collect, failed, failure_text, find, integer, load, natural, one, result_text, select,
-    used,
+    change, collect, failed, failure_text, find, integer, load, natural, one, result_text, select, used,
+};
+use steps::{
+    BY_TILE, FAILED, FREE, HELD, TILE_HELD, TILE_ROW, held, lapse, next, next_turn, put_back, start,
+    start_tile,
 };
 
 /// Records in an SQLite database.
@@ -28,11 +32,6 @@ pub struct Sqlite {
     // take all that it finds for lost.
     _lock: File,
 }
-
-/// Of the row that a lease is on: `?1` is its job, `?2` its attempt.
-const HELD: &str = "id = ?1 AND claims = ?2 AND state = 'running'";
-
-const FREE: &str = "worker = NULL, until = NULL";
 
 impl Sqlite {
     /// Opens the database in a folder that is there, made where it is missing, and brings an older one up to date.
@@ -87,9 +86,21 @@ impl Sqlite {
         Ok(())
     }
 
-    /// Changes the row that a lease is on; false where it is on none any more.
+    /// Changes the job that a lease is on; false where it is on none any more.
     fn set(&self, set: &str, values: impl Params) -> Result<bool, StoreError> {
         change(&self.database(), &format!("UPDATE jobs SET {set} WHERE {HELD}"), values)
+    }
+
+    /// Changes several rows at once, or none.
+    fn together<T>(
+        &self,
+        change: impl FnOnce(&Connection) -> Result<T, StoreError>,
+    ) -> Result<T, StoreError> {
+        let mut database = self.database();
+        let transaction = database.transaction().map_err(failed)?;
+        let changed = change(&transaction)?;
+        transaction.commit().map_err(failed)?;
+        Ok(changed)
     }
 }
 
@@ -114,12 +125,14 @@ impl Records for Sqlite {
             return Ok(Submitted::Known(known));
         }
         let job = &draft.job;
+        let sql = format!(
+            "INSERT INTO jobs (id, state, request, owner, client, key, fingerprint, request_id, points_in, \
+             points_out, row_bytes, bytes, created, turn) VALUES (?, 'queued', ?, ?, ?4, ?, ?, ?, ?, ?, ?, ?, ?, {})",
+            next_turn("?4")
+        );
         change(
             &database,
-            "INSERT INTO jobs (id, state, request, owner, client, key, fingerprint, request_id, points_in, \
-             points_out, row_bytes, bytes, created, turn) VALUES (?, 'queued', ?, ?, ?4, ?, ?, ?, ?, ?, ?, ?, ?, \
-             1 + max((SELECT clock FROM totals), (SELECT coalesce(max(turn), 0) FROM jobs \
-             WHERE client = ?4 AND state IN ('queued', 'running'))))",
+            &sql,
             params![
                 id,
                 job.request,
@@ -140,49 +153,100 @@ impl Records for Sqlite {
     }
 
     fn claim(&self, worker: &str, now: Time, until: Time) -> Result<Option<Lease>, StoreError> {
-        let sql = format!(
-            "UPDATE jobs SET state = 'running', attempts = attempts + 1, started = ?2, claims = claims + 1, \
-             worker = ?1, until = ?3 \
-             WHERE id = (SELECT id FROM jobs WHERE state = 'queued' ORDER BY turn, number LIMIT 1) \
-             RETURNING {COLUMNS}, claims, worker, until"
-        );
-        Ok(collect(&self.database(), &sql, params![worker, now, until], rows::lease)?.pop())
+        self.together(|database| match next(database)? {
+            None => Ok(None),
+            Some((id, Step::Tile(tile))) => start_tile(database, &id, tile, worker, until),
+            Some((id, step)) => start(database, &id, step, worker, [now, until]),
+        })
     }
 
     fn lapse(&self, time: Time, now: Time) -> Result<Vec<Lapsed>, StoreError> {
         let most = self.bounds.attempts;
-        let mut database = self.database();
-        // Most of the time there is none, and nothing to write.
-        let sql = "SELECT id, attempts FROM jobs WHERE state = 'running' AND until <= ?";
-        let lapsed = collect(&database, sql, [time], |row| {
-            let attempts = row.get(1)?;
-            Ok(Lapsed { id: row.get(0)?, attempts, again: attempts < most })
-        })?;
-        if lapsed.is_empty() {
-            return Ok(lapsed);
-        }
-        let transaction = database.transaction().map_err(failed)?;
-        for Lapsed { id, attempts, again } in &lapsed {
-            if *again {
-                let sql = format!("UPDATE jobs SET state = 'queued', {FREE} WHERE id = ?");
-                change(&transaction, &sql, [id])?;
-            } else {
-                let failure = failure_text(&Failure::GaveUp { attempts: *attempts });
-                let sql = "UPDATE jobs SET state = 'failed', finished = ?2, failure = ?3, \
-                           bytes = row_bytes + octet_length(?3) WHERE id = ?1";
-                change(&transaction, sql, params![id, now, failure])?;
+        self.together(|database| {
+            let sql = "SELECT id, NULL, attempts FROM jobs WHERE state = 'running' AND until <= ?1 \
+                       UNION ALL SELECT job, tile, attempts FROM tiles WHERE state = 'running' AND until <= ?1";
+            // Most of the time there is none, and nothing to write.
+            let mut lapsed = collect(database, sql, [time], |row| {
+                let attempts = row.get(2)?;
+                Ok(Lapsed { id: row.get(0)?, tile: row.get(1)?, attempts, again: attempts < most })
+            })?;
+            let mut kept = Vec::new();
+            for one in lapsed.drain(..) {
+                if lapse(database, &one, now)? {
+                    kept.push(one);
+                }
             }
-        }
-        transaction.commit().map_err(failed)?;
-        Ok(lapsed)
+            Ok(kept)
+        })
     }
 
     fn beat(&self, lease: &Lease, until: Time) -> Result<bool, StoreError> {
-        self.set("until = ?3", params![lease.record.id, integer(lease.attempt), until])
+        let (table, held_by) = match lease.step {
+            Step::Tile(_) => ("tiles", TILE_HELD),
+            Step::Whole | Step::Join => ("jobs", HELD),
+        };
+        let (id, attempt) = held(lease);
+        let sql = format!("UPDATE {table} SET until = ?3 WHERE {held_by}");
+        change(&self.database(), &sql, params![id, attempt, until])
+    }
+
+    fn split(&self, lease: &Lease, plan: &str, sizes: &[u64], bytes: u64) -> Result<bool, StoreError> {
+        let (id, attempt) = held(lease);
+        self.together(|database| {
+            let sql = format!(
+                "UPDATE jobs SET {FREE}, claims = claims + 1, attempts = 0, waits = 1, plan = ?3, tiles = ?4, \
+                 tiles_done = 0, points_done = 0, tile_bytes = ?5, bytes = bytes + ?5, turn = {} WHERE {HELD}",
+                next_turn("?6")
+            );
+            let count = sizes.len() as u32;
+            let bytes = integer(bytes.saturating_add(u64::from(count) * TILE_ROW));
+            let split = change(database, &sql, params![id, attempt, plan, count, bytes, lease.record.client])?;
+            for tile in 0..if split { count } else { 0 } {
+                let sql = "INSERT INTO tiles (job, tile, state) VALUES (?, ?, 'waiting')";
+                change(database, sql, params![id, tile])?;
+            }
+            Ok(split)
+        })
+    }
+
+    fn tile_done(&self, lease: &Lease, part: &str, points: u64) -> Result<bool, StoreError> {
+        let (id, attempt) = held(lease);
+        self.together(|database| {
+            let sql = format!("UPDATE tiles SET state = 'done', blob = ?3, {FREE} WHERE {TILE_HELD}");
+            let done = change(database, &sql, params![id, attempt, part])?;
+            if done {
+                let sql = "UPDATE jobs SET tiles_done = tiles_done + 1, points_done = points_done + ?2, \
+                           waits = max(waits, tiles_done + 1 = tiles) WHERE id = ?1";
+                change(database, sql, params![id, integer(points)])?;
+            }
+            Ok(done)
+        })
+    }
+
+    fn parts(&self, id: &str) -> Result<Vec<(u32, String)>, StoreError> {
+        let sql = "SELECT tile, blob FROM tiles WHERE job = ? AND state = 'done' ORDER BY tile";
+        collect(&self.database(), sql, [id], |row| Ok((row.get(0)?, row.get(1)?)))
+    }
+
+    fn unsplit(&self, lease: &Lease) -> Result<bool, StoreError> {
+        let (id, attempt) = held(lease);
+        let which = if let Step::Tile(_) = lease.step { BY_TILE } else { HELD };
+        self.together(|database| {
+            let sql = format!(
+                "UPDATE jobs SET state = 'queued', started = NULL, attempts = 0, claims = claims + 1, {FREE}, \
+                 waits = 1, plan = NULL, tiles = NULL, tiles_done = 0, points_done = 0, \
+                 bytes = bytes - tile_bytes, tile_bytes = 0 WHERE {which}"
+            );
+            let unsplit = change(database, &sql, params![id, attempt])?;
+            if unsplit {
+                change(database, "DELETE FROM tiles WHERE job = ?", [id])?;
+            }
+            Ok(unsplit)
+        })
     }
 
     fn done(&self, lease: &Lease, result: &ResultFile, now: Time) -> Result<bool, StoreError> {
-        let set = "state = 'done', finished = ?3, result = ?4, blob = ?5, \
+        let set = "state = 'done', finished = ?3, result = ?4, blob = ?5, waits = 0, \
                    bytes = row_bytes + octet_length(?4) + ?6";
         let text = result_text(result);
         let (id, attempt, bytes) = (&lease.record.id, integer(lease.attempt), integer(result.bytes));
@@ -190,32 +254,35 @@ impl Records for Sqlite {
     }
 
     fn failed(&self, lease: &Lease, failure: &Failure, now: Time) -> Result<bool, StoreError> {
-        let set = "state = 'failed', finished = ?3, failure = ?4, bytes = row_bytes + octet_length(?4)";
-        self.set(set, params![lease.record.id, integer(lease.attempt), now, failure_text(failure)])
+        let which = if let Step::Tile(_) = lease.step { BY_TILE } else { HELD };
+        let (id, attempt) = held(lease);
+        let sql = format!("UPDATE jobs SET {FAILED} WHERE {which}");
+        change(&self.database(), &sql, params![id, attempt, now, failure_text(failure)])
     }
 
     fn put_back(&self, lease: &Lease) -> Result<bool, StoreError> {
-        self.set(&put_back(), params![lease.record.id, integer(lease.attempt)])
+        self.together(|database| put_back(database, lease))
     }
 
     fn defer(&self, lease: &Lease) -> Result<bool, StoreError> {
         let id = &lease.record.id;
-        let mut database = self.database();
-        let transaction = database.transaction().map_err(failed)?;
-        let sql = format!("UPDATE jobs SET {} WHERE {HELD}", put_back());
-        let put = change(&transaction, &sql, params![id, integer(lease.attempt)])?;
-        if put {
-            let sql = "UPDATE jobs SET turn = jobs.turn + totals.clock + 1 - this.turn
-                FROM totals, (SELECT client, turn, number FROM jobs WHERE id = ?) AS this
-                WHERE jobs.client = this.client AND jobs.state = 'queued' AND jobs.number >= this.number";
-            change(&transaction, sql, [id])?;
-        }
-        transaction.commit().map_err(failed)?;
-        Ok(put)
+        self.together(|database| {
+            let put = put_back(database, lease)?;
+            if put && lease.step == Step::Whole {
+                let sql = "UPDATE jobs SET turn = jobs.turn + totals.clock + 1 - this.turn
+                    FROM totals, (SELECT client, turn, number FROM jobs WHERE id = ?) AS this
+                    WHERE jobs.client = this.client AND jobs.state = 'queued' AND jobs.number >= this.number";
+                change(database, sql, [id])?;
+            } else if put {
+                let sql = format!("UPDATE jobs SET turn = {} WHERE id = ?1", next_turn("?2"));
+                change(database, &sql, [id, &lease.record.client])?;
+            }
+            Ok(put)
+        })
     }
 
     fn cancel(&self, id: &str, now: Time) -> Result<bool, StoreError> {
-        let sql = "UPDATE jobs SET state = 'cancelled', finished = ?, bytes = row_bytes \
+        let sql = "UPDATE jobs SET state = 'cancelled', finished = ?, bytes = row_bytes, waits = 0 \
                    WHERE id = ? AND state IN ('queued', 'running')";
         change(&self.database(), sql, params![now, id])
     }
@@ -243,8 +310,8 @@ impl Records for Sqlite {
     }
 
     fn ahead(&self, job: &Record) -> Result<(u64, u64), StoreError> {
-        let sql = "SELECT count(*), coalesce(sum(points_out), 0) FROM jobs
-            WHERE state = 'queued' AND (turn, number) < (?, ?)";
+        let sql = "SELECT count(*), coalesce(sum(points_out - points_done), 0) FROM jobs
+            WHERE waits AND (turn, number) < (?, ?)";
         one(&self.database(), sql, [job.turn, job.number], |row| {
             Ok((row.get(0).map(natural)?, row.get(1).map(natural)?))
         })
@@ -268,15 +335,15 @@ impl Records for Sqlite {
         used(&self.database())
     }
 
-    fn promised(&self) -> Result<Vec<(String, Option<String>)>, StoreError> {
+    fn promised(&self) -> Result<Vec<Promised>, StoreError> {
         // Names alone: there may be many rows, and long ones.
-        let sql = "SELECT id, blob FROM jobs WHERE state IN ('queued', 'running', 'done')";
-        collect(&self.database(), sql, [], |row| Ok((row.get(0)?, row.get(1)?)))
+        let sql = "SELECT id, tiles, blob FROM jobs WHERE state IN ('queued', 'running', 'done')";
+        collect(&self.database(), sql, [], |row| {
+            let (id, tiles, blob): (_, Option<u32>, Option<String>) = (row.get(0)?, row.get(1)?, row.get(2)?);
+            let no_result = || if tiles.is_some() { Promised::Tiles(id) } else { Promised::Input(id) };
+            Ok(blob.map_or_else(no_result, Promised::Result))
+        })
     }
-}
-
-fn put_back() -> String {
-    format!("state = 'queued', attempts = attempts - 1, started = NULL, {FREE}")
 }
 
 fn forgotten(row: &Row<'_>) -> rusqlite::Result<Forgotten> {

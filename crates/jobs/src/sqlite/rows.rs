@@ -4,11 +4,12 @@ use rusqlite::{Connection, ErrorCode, Params, Row};
 use serde::{Deserialize, Serialize};
 
 use crate::error::{StoreError, Trouble};
-use crate::record::{Failure, Record, ResultFile, State};
-use crate::records::{Lease, Load};
+use crate::record::{Failure, Record, ResultFile, State, Tiles, Time};
+use crate::records::{Lease, Load, Step};
 
 pub(super) const COLUMNS: &str = "number, id, state, request, owner, client, request_id, points_in, points_out, \
-                                  turn, attempts, created, started, finished, result, failure, blob";
+                                  turn, attempts, created, started, finished, result, failure, blob, \
+                                  plan, tiles, tiles_done, points_done";
 
 /// Not a `From`, which would be public.
 pub(super) fn failed(error: rusqlite::Error) -> StoreError {
@@ -105,6 +106,7 @@ fn record(row: &Row<'_>) -> rusqlite::Result<Record> {
         created: row.get(11)?,
         started: row.get(12)?,
         finished: row.get(13)?,
+        tiles: tiles(row)?,
         result: made.zip(text(16)?).map(|(Made { bytes, sha256, about }, blob)| ResultFile {
             blob,
             bytes,
@@ -115,14 +117,17 @@ fn record(row: &Row<'_>) -> rusqlite::Result<Record> {
     })
 }
 
-/// Of a row with [`COLUMNS`] and then `claims`, `worker` and `until`.
-pub(super) fn lease(row: &Row<'_>) -> rusqlite::Result<Lease> {
-    Ok(Lease {
-        record: record(row)?,
-        attempt: row.get(17).map(natural)?,
-        worker: row.get(18)?,
-        until: row.get(19)?,
-    })
+/// Of a row with [`COLUMNS`].
+fn tiles(row: &Row<'_>) -> rusqlite::Result<Option<Tiles>> {
+    let (plan, count): (Option<String>, Option<u32>) = (row.get(17)?, row.get(18)?);
+    let Some((plan, count)) = plan.zip(count) else { return Ok(None) };
+    Ok(Some(Tiles { plan, count, done: row.get(19)?, points: row.get(20).map(natural)? }))
+}
+
+/// On a step of a row with [`COLUMNS`] and then `claims`.
+pub(super) fn lease(row: &Row<'_>, step: Step, worker: &str, until: Time) -> rusqlite::Result<Lease> {
+    let attempt = row.get(21).map(natural)?;
+    Ok(Lease { record: record(row)?, step, attempt, worker: worker.to_owned(), until })
 }
 
 /// A result as its column has it.

@@ -9,11 +9,13 @@ use super::rows::failed;
 use crate::error::StoreError;
 
 /// Of the schema.
-const VERSION: i64 = 4;
+const VERSION: i64 = 5;
 
 // The totals, one row, are kept by triggers: whatever changes a job changes them with it. `used` is the sum of
 // all `bytes`, which a sum over so many rows would take too long for; `clock` is the turn of the last job
-// that was started. `claims`, `worker` and `until` are those of the lease, `blob` is the name of the result.
+// that was started. `claims`, `worker` and `until` are those of the lease, `blob` is the name of the result. A job
+// `waits` while a step of it can be claimed. `tiles` is null until it is split; `tile_bytes` are those of `bytes` that its
+// tiles take.
 const SCHEMA: &str = "
     CREATE TABLE jobs (
         number INTEGER PRIMARY KEY AUTOINCREMENT,
@@ -40,6 +42,12 @@ const SCHEMA: &str = "
         worker TEXT,
         until INTEGER,
         blob TEXT,
+        waits INTEGER NOT NULL DEFAULT 1,
+        plan TEXT,
+        tiles INTEGER,
+        tiles_done INTEGER NOT NULL DEFAULT 0,
+        points_done INTEGER NOT NULL DEFAULT 0,
+        tile_bytes INTEGER NOT NULL DEFAULT 0,
         UNIQUE (owner, key)
     ) STRICT;
     CREATE INDEX jobs_by_turn ON jobs (state, turn, number);
@@ -54,8 +62,27 @@ const SCHEMA: &str = "
     CREATE TRIGGER jobs_go AFTER DELETE ON jobs
         BEGIN UPDATE totals SET used = used - old.bytes; END;
     CREATE TRIGGER jobs_start AFTER UPDATE OF state ON jobs WHEN new.state = 'running'
-        BEGIN UPDATE totals SET clock = max(clock, new.turn); END;
-    PRAGMA user_version = 4;";
+        BEGIN UPDATE totals SET clock = max(clock, new.turn); END;";
+
+// Rows of a job that is not over. The number of a tile's last claim is one of its job's, so that a lease on a tile of an
+// earlier plan is on none of a later one.
+const TILES: &str = "
+    CREATE TABLE tiles (
+        job TEXT NOT NULL,
+        tile INTEGER NOT NULL,
+        state TEXT NOT NULL,
+        attempts INTEGER NOT NULL DEFAULT 0,
+        claims INTEGER NOT NULL DEFAULT 0,
+        worker TEXT,
+        until INTEGER,
+        blob TEXT,
+        PRIMARY KEY (job, tile)
+    ) STRICT, WITHOUT ROWID;
+    CREATE INDEX tiles_by_state ON tiles (state, job, tile);
+    CREATE INDEX jobs_that_wait ON jobs (turn, number) WHERE waits;
+    CREATE TRIGGER jobs_end AFTER UPDATE OF state ON jobs WHEN new.state NOT IN ('queued', 'running')
+        BEGIN DELETE FROM tiles WHERE job = new.id; END;
+    PRAGMA user_version = 5;";
 
 /// Makes way for the schema.
 const RENAME: &str = "
@@ -95,8 +122,19 @@ const COLUMNS: &str = "
 /// What was running then has no lease any more.
 const FROM_3: &str = "
     UPDATE jobs SET until = 0 WHERE state = 'running';
-    UPDATE jobs SET blob = id || '.out' WHERE state = 'done';
-    PRAGMA user_version = 4;";
+    UPDATE jobs SET blob = id || '.out' WHERE state = 'done';";
+
+/// Version 4 knew no tiles.
+const TILE_COLUMNS: &str = "
+    ALTER TABLE jobs ADD COLUMN waits INTEGER NOT NULL DEFAULT 1;
+    ALTER TABLE jobs ADD COLUMN plan TEXT;
+    ALTER TABLE jobs ADD COLUMN tiles INTEGER;
+    ALTER TABLE jobs ADD COLUMN tiles_done INTEGER NOT NULL DEFAULT 0;
+    ALTER TABLE jobs ADD COLUMN points_done INTEGER NOT NULL DEFAULT 0;
+    ALTER TABLE jobs ADD COLUMN tile_bytes INTEGER NOT NULL DEFAULT 0;";
+
+/// What waits was queued then.
+const FROM_4: &str = "UPDATE jobs SET waits = state = 'queued';";
 
 /// How long a statement waits for another program that has the database for itself, which no backup does.
 const BUSY: Duration = Duration::from_millis(500);
@@ -121,10 +159,11 @@ fn migrated(path: &Path) -> rusqlite::Result<Result<Connection, i64>> {
     connection.pragma_update(None, "synchronous", "FULL")?;
     let transaction = connection.transaction()?;
     let steps: &[&str] = match transaction.query_row("PRAGMA user_version", [], |row| row.get(0))? {
-        0 => &[SCHEMA],
-        1 => &[RENAME, FROM_1, SCHEMA, FROM_2, FROM_3],
-        2 => &[RENAME, SCHEMA, FROM_2, FROM_3],
-        3 => &[COLUMNS, FROM_3],
+        0 => &[SCHEMA, TILES],
+        1 => &[RENAME, FROM_1, SCHEMA, FROM_2, FROM_3, FROM_4, TILES],
+        2 => &[RENAME, SCHEMA, FROM_2, FROM_3, FROM_4, TILES],
+        3 => &[COLUMNS, FROM_3, TILE_COLUMNS, FROM_4, TILES],
+        4 => &[TILE_COLUMNS, FROM_4, TILES],
         VERSION => &[],
         found => return Ok(Err(found)),
     };

@@ -6,7 +6,7 @@ use super::*;
 
 #[test]
 fn databases_of_before_are_brought_up_to_date() {
-    for version in [1, 2, 3] {
+    for version in [1, 2, 3, 4] {
         let dir = tempfile::tempdir().expect("a folder");
         let store = open(dir.path(), 0);
         let long = NewJob { request: "a".repeat(500), ..job("a", Some("key"), b"abc") };
@@ -15,6 +15,12 @@ fn databases_of_before_are_brought_up_to_date() {
         let used = store.used().expect("a sum");
         drop(store);
         let database = Connection::open(dir.path().join("jobs.sqlite")).expect("a database");
+        let tiles = "
+            DROP TRIGGER jobs_end; DROP INDEX jobs_that_wait; DROP TABLE tiles;
+            ALTER TABLE jobs DROP COLUMN waits; ALTER TABLE jobs DROP COLUMN plan;
+            ALTER TABLE jobs DROP COLUMN tiles; ALTER TABLE jobs DROP COLUMN tiles_done;
+            ALTER TABLE jobs DROP COLUMN points_done; ALTER TABLE jobs DROP COLUMN tile_bytes;
+            PRAGMA user_version = 4;";
         let leases = "
             ALTER TABLE jobs DROP COLUMN claims;
             ALTER TABLE jobs DROP COLUMN worker;
@@ -46,7 +52,7 @@ fn databases_of_before_are_brought_up_to_date() {
             CREATE INDEX jobs_by_state ON jobs (state, number);
             CREATE INDEX jobs_by_end ON jobs (finished);
             PRAGMA user_version = 1;";
-        for step in [leases, rows, columns].into_iter().take(4 - version) {
+        for step in [tiles, leases, rows, columns].into_iter().take(5 - version) {
             database.execute_batch(step).unwrap_or_else(|error| panic!("version {version}: {error}"));
         }
         drop(database);
@@ -138,7 +144,7 @@ fn a_folder_of_version_3_is_gone_on_with() {
     assert_eq!((done.state, done.attempts, done.finished), (State::Done, 2, Some(30)));
     let told = ResultFile { blob: "d.out".into(), bytes: 4, sha256: "0".into(), about: "about".into() };
     assert_eq!(done.result, Some(told));
-    assert_eq!(get("e").failure, Some(Failure::GaveUp { attempts: 3 }));
+    assert_eq!(get("e").failure, Some(Failure::GaveUp { attempts: 3, tile: None }));
     assert_eq!(get("f").failure, Some(Failure::Crashed));
 
     for (id, attempts) in [("r", 2), ("q", 1)] {

@@ -3,9 +3,10 @@
 mod migrations;
 mod model;
 mod records;
+mod tiles;
 mod worker;
 
-use std::io::{self, Read, Write};
+use std::io::{Read, Write};
 use std::path::Path;
 
 use super::*;
@@ -67,8 +68,9 @@ fn claim(store: &Store, now: Time) -> Option<Lease> {
 }
 
 fn write(store: &Store, lease: &Lease, bytes: &[u8]) -> ResultFile {
-    let fill = |sink: &mut dyn Write| sink.write_all(bytes).map(|()| "about".to_owned());
-    store.write_result::<io::Error>(lease, fill).expect("a result")
+    let mut writer = store.result_writer(lease).expect("a result");
+    writer.write_all(bytes).expect("room");
+    writer.finish("about".to_owned()).expect("a result")
 }
 
 /// The bytes of a job's result, where it is done.
@@ -105,7 +107,7 @@ fn a_job_that_ends_the_program_again_and_again_fails() {
     let store = open(dir.path(), 5);
     let job = store.get(&id).expect("no fault").expect("a job");
     assert_eq!((job.state, job.finished), (State::Failed, Some(5)));
-    assert_eq!(job.failure, Some(Failure::GaveUp { attempts: ATTEMPTS }));
+    assert_eq!(job.failure, Some(Failure::GaveUp { attempts: ATTEMPTS, tile: None }));
     assert_eq!(claim(&store, 6), None);
     assert_eq!(files(dir.path()), [""; 0]);
 }
@@ -131,11 +133,9 @@ fn a_result_is_seen_whole_with_its_hash_or_not_at_all() {
     let store = open(dir.path(), 0);
     let id = submit(&store, &job("a", None, b"cloud"), 0);
     let lease = claim(&store, 1).expect("a job");
-    let full = store.write_result::<io::Error>(&lease, |sink| {
-        sink.write_all(b"half of i")?;
-        Err(io::ErrorKind::StorageFull.into())
-    });
-    assert!(StoreError::from(full.expect_err("full")).is_full());
+    let mut writer = store.result_writer(&lease).expect("a result");
+    writer.write_all(b"half of i").expect("room");
+    drop(writer);
     assert_eq!(files(dir.path()), [format!("{id}.in")]);
     let made = write(&store, &lease, b"abc");
     assert_eq!(result(&store, &id), None, "not before it is done");
@@ -173,10 +173,10 @@ fn a_folder_is_open_once_and_a_later_version_is_not_touched() {
     assert!(matches!(Store::open(dir.path(), BOUNDS, 0), Err(StoreError::Locked)));
     drop(store);
     let database = rusqlite::Connection::open(dir.path().join("jobs.sqlite")).expect("a database");
-    database.pragma_update(None, "user_version", 5).expect("a version");
+    database.pragma_update(None, "user_version", 6).expect("a version");
     drop(database);
     let refused = Store::open(dir.path(), BOUNDS, 0);
-    assert!(matches!(refused, Err(StoreError::Version { found: 5, known: 4 })));
+    assert!(matches!(refused, Err(StoreError::Version { found: 6, known: 5 })));
 }
 
 #[test]

@@ -21,6 +21,9 @@ enum Step {
     Done(usize, usize),
     Failed(usize, usize),
     PutBack(usize, usize),
+    /// Into so many tiles.
+    Split(usize, usize, usize),
+    Unsplit(usize, usize),
     Cancel(usize),
     Delete(usize),
     Expire(Time),
@@ -39,7 +42,9 @@ fn step() -> impl Strategy<Value = Step> {
         4 => (1_i64..12).prop_map(Step::Claim),
         2 => of_lease.clone().prop_map(|(i, lease)| Step::Done(i, lease)),
         1 => of_lease.clone().prop_map(|(i, lease)| Step::Failed(i, lease)),
-        1 => of_lease.prop_map(|(i, lease)| Step::PutBack(i, lease)),
+        1 => of_lease.clone().prop_map(|(i, lease)| Step::PutBack(i, lease)),
+        2 => (of_lease.clone(), 1_usize..4).prop_map(|((i, lease), tiles)| Step::Split(i, lease, tiles)),
+        1 => of_lease.prop_map(|(i, lease)| Step::Unsplit(i, lease)),
         1 => which.clone().prop_map(Step::Cancel),
         1 => which.clone().prop_map(Step::Delete),
         1 => which.prop_map(Step::Written),
@@ -53,15 +58,33 @@ fn step() -> impl Strategy<Value = Step> {
 struct Model {
     state: State,
     attempts: u32,
+    turn: Time,
     finished: Time,
     job: NewJob,
     /// Of its files.
     bytes: u64,
-    /// All that it ever had; the last may still be its own.
+    /// All leases that it ever had.
     leases: Vec<Lease>,
-    /// The file of its result.
+    /// Those that are on it.
+    held: Vec<Lease>,
+    /// Once it is split.
+    tiles: Option<Vec<Tile>>,
+    /// The files of its plan and its result.
+    plan: Option<String>,
     result: Option<String>,
 }
+
+#[derive(Debug, Clone, Default)]
+struct Tile {
+    attempts: u32,
+    /// The file of its part.
+    part: Option<String>,
+}
+
+/// Bytes of each plan.
+const PLAN: u64 = 50;
+/// And of the row of each tile.
+const TILE: u64 = 256;
 
 impl Model {
     /// With its row, without what is told of its end.
@@ -69,30 +92,72 @@ impl Model {
         self.bytes + Draft::new(self.job.clone()).expect("a draft").row_bytes
     }
 
-    /// Whether a lease gives a say.
     fn is_held(&self, lease: &Lease) -> bool {
-        self.state == State::Running && self.leases.last() == Some(lease)
+        self.held.contains(lease)
     }
 
     fn is_over(&mut self, state: State, now: Time) {
         (self.state, self.finished, self.bytes) = (state, now, 0);
+        self.held.clear();
     }
 
-    /// Its worker is gone.
-    fn lapse(&mut self, now: Time) {
-        if self.attempts < ATTEMPTS {
-            self.state = State::Queued;
-        } else {
-            self.is_over(State::Failed, now);
+    /// The step that waits.
+    fn waits(&self) -> Option<crate::Step> {
+        let is_held = |step| self.held.iter().any(|lease| lease.step == step);
+        match (self.state, &self.tiles) {
+            (State::Queued, _) => Some(crate::Step::Whole),
+            (State::Running, Some(tiles)) => {
+                let tile = (0..).map(crate::Step::Tile).zip(tiles);
+                let mut waiting = tile.filter(|(step, tile)| tile.part.is_none() && !is_held(*step));
+                let join = tiles.iter().all(|tile| tile.part.is_some()) && !is_held(crate::Step::Join);
+                waiting.next().map(|(step, _)| step).or(join.then_some(crate::Step::Join))
+            }
+            _ => None,
         }
     }
 
-    /// The one file that is promised.
-    fn file(&self, id: &str) -> Option<String> {
+    /// How often a step was started.
+    fn attempts(&mut self, step: crate::Step) -> &mut u32 {
+        match (step, &mut self.tiles) {
+            (crate::Step::Tile(tile), Some(tiles)) => &mut tiles[tile as usize].attempts,
+            _ => &mut self.attempts,
+        }
+    }
+
+    /// A step waits again.
+    fn free(&mut self, lease: &Lease) {
+        self.held.retain(|one| one != lease);
+        if lease.step == crate::Step::Whole {
+            self.state = State::Queued;
+        }
+    }
+
+    /// The workers of these leases are gone.
+    fn lapse(&mut self, leases: &[Lease], now: Time) {
+        for lease in leases {
+            if *self.attempts(lease.step) >= ATTEMPTS {
+                return self.is_over(State::Failed, now);
+            }
+        }
+        leases.iter().for_each(|lease| self.free(lease));
+    }
+
+    fn unsplit(&mut self) {
+        let tiles = self.tiles.take().map_or(0, |tiles| PLAN + TILE * tiles.len() as u64);
+        (self.state, self.attempts, self.plan) = (State::Queued, 0, None);
+        self.bytes -= tiles;
+        self.held.clear();
+    }
+
+    /// The files that are promised.
+    fn files(&self, id: &str) -> Vec<String> {
+        let parts = self.tiles.iter().flatten().filter_map(|tile| tile.part.clone());
         match self.state {
-            State::Queued | State::Running => Some(format!("{id}.in")),
-            State::Done => self.result.clone(),
-            State::Failed | State::Cancelled => None,
+            State::Queued | State::Running => {
+                parts.chain(self.plan.clone()).chain([format!("{id}.in")]).collect()
+            }
+            State::Done => self.result.iter().cloned().collect(),
+            State::Failed | State::Cancelled => Vec::new(),
         }
     }
 }
@@ -106,13 +171,15 @@ struct World {
     /// Names of all jobs that ever came, the first one first.
     order: Vec<String>,
     now: Time,
+    /// The turn of the last step that was started.
+    clock: Time,
 }
 
 impl World {
     fn new() -> Self {
         let folder = tempfile::tempdir().expect("a folder");
         let store = Some(open(folder.path(), 0));
-        Self { folder, store, model: BTreeMap::new(), order: Vec::new(), now: 0 }
+        Self { folder, store, model: BTreeMap::new(), order: Vec::new(), now: 0, clock: 0 }
     }
 
     fn store(&self) -> &Store {
@@ -151,6 +218,8 @@ impl World {
             Step::Done(i, which) => self.done(&self.pick(i), which)?,
             Step::Failed(i, which) => self.failed(&self.pick(i), which)?,
             Step::PutBack(i, which) => self.put_back(&self.pick(i), which)?,
+            Step::Split(i, which, tiles) => self.split(&self.pick(i), which, tiles)?,
+            Step::Unsplit(i, which) => self.unsplit(&self.pick(i), which)?,
             Step::Cancel(i) => self.cancel(&self.pick(i))?,
             Step::Delete(i) => self.delete(&self.pick(i))?,
             Step::Expire(age) => self.expire(age)?,
@@ -180,10 +249,14 @@ impl World {
                 let known = Model {
                     state: State::Queued,
                     attempts: 0,
+                    turn: self.next_turn(),
                     finished: 0,
                     job: new,
                     bytes: size as u64 + RESULT,
                     leases: Vec::new(),
+                    held: Vec::new(),
+                    tiles: None,
+                    plan: None,
                     result: None,
                 };
                 self.model.insert(record.id, known);
@@ -193,34 +266,68 @@ impl World {
         Ok(())
     }
 
+    /// After those of all jobs that are not over: they are one client's.
+    fn next_turn(&self) -> Time {
+        let open = self.model.values().filter(|known| !known.state.is_final());
+        1 + open.map(|known| known.turn).fold(self.clock, Time::max)
+    }
+
+    /// The leases that have run out by now.
+    fn lapse(&mut self, now: Time) {
+        for known in self.model.values_mut() {
+            let lapsed: Vec<_> = known.held.iter().filter(|lease| lease.until <= now).cloned().collect();
+            known.lapse(&lapsed, self.now);
+        }
+    }
+
     fn claim(&mut self, time: Time) -> Result<(), TestCaseError> {
         let now = self.now;
-        let until = |known: &Model| known.leases.last().map_or(Time::MAX, |lease| lease.until);
-        let running = self.model.values_mut().filter(|known| known.state == State::Running);
-        running.filter(|known| until(known) <= now).for_each(|known| known.lapse(now));
-        let first = self.order.iter().find(|id| self.state(id) == Some(State::Queued)).cloned();
+        self.lapse(now);
+        let waiting = self.order.iter().filter_map(|id| {
+            let known = self.model.get(id)?;
+            Some((known.turn, id.clone(), known.waits()?))
+        });
+        let first = waiting.min_by_key(|(turn, ..)| *turn).map(|(_, id, step)| (id, step));
         let claimed = self.store().claim("worker", now, now + time).expect("no fault");
-        let id = claimed.as_ref().map(|lease| lease.record.id.clone());
-        prop_assert_eq!(&id, &first, "in the order in which they came");
-        if let Some(lease) = claimed {
-            let known = self.known(&lease.record.id);
-            prop_assert!(known.leases.iter().all(|earlier| earlier.attempt < lease.attempt));
-            known.state = State::Running;
-            known.attempts += 1;
-            known.leases.push(lease);
+        let step = claimed.as_ref().map(|lease| (lease.record.id.clone(), lease.step));
+        prop_assert_eq!(&step, &first, "in the order of their turns");
+        let Some(lease) = claimed else { return Ok(()) };
+        let id = lease.record.id.clone();
+        self.clock = self.clock.max(self.known(&id).turn);
+        let next = self.next_turn();
+        let known = self.known(&id);
+        prop_assert!(known.leases.iter().all(|earlier| earlier.attempt < lease.attempt));
+        *known.attempts(lease.step) += 1;
+        known.state = State::Running;
+        if let crate::Step::Tile(_) = lease.step {
+            known.turn = next;
         }
+        known.leases.push(lease.clone());
+        known.held.push(lease);
         Ok(())
     }
 
     fn done(&mut self, id: &str, which: usize) -> Result<(), TestCaseError> {
         let Some((lease, held)) = self.lease(id, which) else { return Ok(()) };
-        let made = write(self.store(), &lease, id.as_bytes());
         let now = self.now;
+        if let crate::Step::Tile(tile) = lease.step {
+            let part = leave(self.store(), &lease);
+            prop_assert_eq!(self.store().tile_done(&lease, 1).expect("no fault"), held);
+            if held {
+                let known = self.known(id);
+                known.free(&lease);
+                if let Some(tiles) = &mut known.tiles {
+                    tiles[tile as usize].part = Some(part);
+                }
+            }
+            return Ok(());
+        }
+        let made = write(self.store(), &lease, id.as_bytes());
         prop_assert_eq!(self.store().done(&lease, &made, now).expect("no fault"), held);
         if held {
             let known = self.known(id);
-            (known.state, known.finished, known.bytes) = (State::Done, now, id.len() as u64);
-            known.result = Some(made.blob);
+            known.is_over(State::Done, now);
+            (known.bytes, known.result) = (id.len() as u64, Some(made.blob));
         }
         Ok(())
     }
@@ -240,8 +347,39 @@ impl World {
         prop_assert_eq!(self.store().put_back(&lease).expect("no fault"), held);
         if held {
             let known = self.known(id);
-            known.state = State::Queued;
-            known.attempts -= 1;
+            *known.attempts(lease.step) -= 1;
+            known.free(&lease);
+        }
+        Ok(())
+    }
+
+    fn split(&mut self, id: &str, which: usize, tiles: usize) -> Result<(), TestCaseError> {
+        let Some((lease, held)) = self.lease(id, which) else { return Ok(()) };
+        if lease.step != crate::Step::Whole {
+            return Ok(());
+        }
+        let plan = leave(self.store(), &lease);
+        let used = self.store().used().expect("a sum");
+        if held && used + PLAN + TILE * tiles as u64 > DISK {
+            return Ok(());
+        }
+        prop_assert_eq!(self.store().split(&lease, &vec![1; tiles], PLAN).expect("no fault"), held);
+        if held {
+            let turn = self.next_turn();
+            let known = self.known(id);
+            (known.attempts, known.plan, known.turn) = (0, Some(plan), turn);
+            known.tiles = Some(vec![Tile::default(); tiles]);
+            known.bytes += PLAN + TILE * tiles as u64;
+            known.held.clear();
+        }
+        Ok(())
+    }
+
+    fn unsplit(&mut self, id: &str, which: usize) -> Result<(), TestCaseError> {
+        let Some((lease, held)) = self.lease(id, which) else { return Ok(()) };
+        prop_assert_eq!(self.store().unsplit(&lease).expect("no fault"), held);
+        if held {
+            self.known(id).unsplit();
         }
         Ok(())
     }
@@ -279,11 +417,17 @@ impl World {
         drop(self.store.take());
         let now = self.now;
         self.store = Some(open(self.folder.path(), now));
-        let running = self.model.values_mut().filter(|known| known.state == State::Running);
-        running.for_each(|known| known.lapse(now));
-        let mut promised: Vec<_> = self.model.iter().filter_map(|(id, known)| known.file(id)).collect();
+        self.lapse(Time::MAX);
+        let mut promised: Vec<_> = self.model.iter().flat_map(|(id, known)| known.files(id)).collect();
         promised.sort();
-        prop_assert_eq!(files(self.folder.path()), promised);
+        // Of a job in tiles, others may be left by steps that did not end.
+        let is_left = |name: &String| {
+            let known = name.split('.').next().and_then(|id| self.model.get(id));
+            promised.contains(name)
+                || !known.is_some_and(|known| known.tiles.is_some() && !known.state.is_final())
+        };
+        let files: Vec<_> = files(self.folder.path()).into_iter().filter(is_left).collect();
+        prop_assert_eq!(files, promised);
         Ok(())
     }
 
@@ -328,6 +472,15 @@ impl World {
         }
         Ok(())
     }
+}
+
+/// Leaves a file in the place of a lease.
+fn leave(store: &Store, lease: &Lease) -> String {
+    let place = store.place(lease);
+    let mut blob = place.blobs.create(&place.own).expect("a file");
+    blob.write_all(b"left").expect("room");
+    blob.finish().expect("a file");
+    place.own
 }
 
 proptest! {

@@ -16,19 +16,64 @@ struct Told {
 }
 
 impl Work for Told {
-    fn run(
+    fn begin(
         &self,
         job: &Record,
         mut input: Box<dyn BlobReader>,
+        place: &Place,
+        _task: &Task,
+        sink: &mut dyn Write,
+    ) -> Result<Begun, Stopped> {
+        let outcome = self.outcome(job.id.clone());
+        if job.request == "tiles" {
+            put(place, "plan")?;
+            return outcome.map(|()| Begun::Split { sizes: vec![1; 3], bytes: 10 });
+        }
+        io::copy(&mut input, sink)?;
+        assert_ne!(job.request, "panic");
+        outcome.map(|()| Begun::Done(String::new()))
+    }
+
+    fn tile(&self, job: &Record, tile: u32, place: &Place, _task: &Task) -> Result<u64, Stopped> {
+        let outcome = self.outcome(format!("{}/{tile}", job.id));
+        assert_eq!(read(place, place.plan.as_ref().expect("a plan")), "plan");
+        put(place, &format!("part {tile};"))?;
+        outcome.map(|()| 1)
+    }
+
+    fn join(
+        &self,
+        job: &Record,
+        parts: Parts,
+        place: &Place,
         _task: &Task,
         sink: &mut dyn Write,
     ) -> Result<String, Stopped> {
-        self.at.lock().expect("no panic under it").send(job.id.clone()).expect("the test listens");
-        let outcome = self.go.lock().expect("no panic under it").recv().expect("the test speaks");
-        io::copy(&mut input, sink)?;
-        assert_ne!(job.request, "panic");
+        let outcome = self.outcome(format!("{}/join", job.id));
+        for name in &parts.names {
+            sink.write_all(read(place, name).as_bytes())?;
+        }
         outcome.map(|()| String::new())
     }
+}
+
+impl Told {
+    fn outcome(&self, step: String) -> Result<(), Stopped> {
+        self.at.lock().expect("no panic under it").send(step).expect("the test listens");
+        self.go.lock().expect("no panic under it").recv().expect("the test speaks")
+    }
+}
+
+fn put(place: &Place, text: &str) -> io::Result<()> {
+    let mut blob = place.blobs.create(&place.own)?;
+    blob.write_all(text.as_bytes())?;
+    blob.finish()
+}
+
+fn read(place: &Place, name: &str) -> String {
+    let mut text = String::new();
+    place.blobs.open(name).expect("a blob").read_to_string(&mut text).expect("text");
+    text
 }
 
 /// Its other ends: ids of jobs one way, ends of their work the other.
@@ -177,13 +222,13 @@ fn a_worker_whose_lease_ran_out_does_not_spoil_what_another_makes() {
     assert_eq!(quick_at.recv().expect("a job"), id);
     // The late one ends first, and then the right one.
     slow_go.send(Ok(())).expect("the work listens");
-    wait_until(&slow, || slow.task(&id).is_none());
+    wait_until(&slow, || slow.at_work(&id).is_empty());
     slow.stop();
     slow.join();
     assert_eq!(files(dir.path()), [format!("{id}.2.out.part"), format!("{id}.in")]);
     assert_eq!(store.get(&id).expect("no fault").expect("the job").state, State::Running);
     quick_go.send(Ok(())).expect("the work listens");
-    wait_until(&quick, || quick.task(&id).is_none());
+    wait_until(&quick, || quick.at_work(&id).is_empty());
     quick.stop();
     quick.join();
     let job = store.get(&id).expect("no fault").expect("the job");
@@ -214,4 +259,92 @@ fn no_time_takes_a_job_from_a_thread_that_is_at_it() {
     assert_eq!([get(&first).attempts, get(&second).attempts], [1, 1]);
     jobs.stop();
     jobs.join();
+}
+
+#[test]
+fn the_tiles_of_a_job_are_worked_on_and_joined_and_others_are_between() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let jobs = Arc::new(Jobs::open(Settings::new(dir.path().to_owned())).expect("a store"));
+    let (work, (arrived, go)) = told();
+    jobs.start(&work).expect("a thread");
+    let large = keep(&jobs, &job("tiles", None, b"x"));
+    assert_eq!(arrived.recv().expect("a step"), large);
+    let small = keep(&jobs, &of("another", None));
+    let steps: Vec<_> = ["", "/0", "/1", "/2", "/join"].map(|step| format!("{large}{step}")).into();
+    let mut order = vec![large.clone()];
+    go.send(Ok(())).expect("the work listens");
+    for _ in 0..5 {
+        order.push(arrived.recv().expect("a step"));
+        go.send(Ok(())).expect("the work listens");
+    }
+    let place = order.iter().position(|step| *step == small).expect("the small one");
+    assert!(place <= 2, "one of the large one's at most after it was planned: {order:?}");
+    order.retain(|step| *step != small);
+    assert_eq!(order, steps);
+    let job = || jobs.store().get(&large).expect("no fault").expect("the job");
+    wait_until(&jobs, || job().state == State::Done && jobs.at_work(&large).is_empty());
+    assert_eq!(result(jobs.store(), &large).as_deref(), Some(&b"part 0;part 1;part 2;"[..]));
+    let tiles = job().tiles.expect("tiles");
+    assert_eq!((tiles.count, tiles.done, tiles.points), (3, 3, 3));
+    jobs.stop();
+    jobs.join();
+    assert_eq!(files(dir.path()).len(), 2, "the results");
+}
+
+#[test]
+fn a_tile_is_tried_again_or_its_job_fails_or_begins_anew() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let jobs = Arc::new(Jobs::open(Settings::new(dir.path().to_owned())).expect("a store"));
+    let (work, (arrived, go)) = told();
+    jobs.start(&work).expect("a thread");
+    let id = keep(&jobs, &job("tiles", None, b"x"));
+    let step = |expected: &str, outcome| {
+        assert_eq!(arrived.recv().expect("a step"), format!("{id}{expected}"));
+        go.send(outcome).expect("the work listens");
+    };
+    step("", Ok(()));
+    step("/0", Err(Stopped::Later));
+    step("/0", Ok(()));
+    step("/1", Err(Stopped::Differs));
+    step("", Ok(()));
+    step("/0", Ok(()));
+    step("/1", Err(Stopped::Refused("why".into())));
+    let job = || jobs.store().get(&id).expect("no fault").expect("the job");
+    wait_until(&jobs, || job().state == State::Failed && jobs.at_work(&id).is_empty());
+    assert_eq!(job().failure, Some(Failure::Refused("why".into())));
+    jobs.stop();
+    jobs.join();
+    assert_eq!(files(dir.path()), [""; 0]);
+}
+
+#[test]
+fn a_job_in_tiles_goes_on_where_the_program_ended() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let mut steps = Vec::new();
+    let mut id = String::new();
+    for stop_at in [2, 1, 9] {
+        let jobs = Arc::new(Jobs::open(Settings::new(dir.path().to_owned())).expect("a store"));
+        let (work, (arrived, go)) = told();
+        jobs.start(&work).expect("a thread");
+        if id.is_empty() {
+            id = keep(&jobs, &job("tiles", None, b"x"));
+        }
+        for step in 1.. {
+            steps.push(arrived.recv().expect("a step"));
+            if step == stop_at {
+                jobs.stop();
+            }
+            go.send(Ok(())).expect("the work listens");
+            if step == stop_at || steps.last().is_some_and(|step| step.ends_with("join")) {
+                break;
+            }
+        }
+        let is_over = || jobs.store().get(&id).expect("no fault").expect("the job").state == State::Done;
+        wait_until(&jobs, || jobs.at_work(&id).is_empty() && (steps.len() < 5 || is_over()));
+        jobs.stop();
+        jobs.join();
+    }
+    let expected = ["", "/0", "/0", "/0", "/1", "/2", "/join"].map(|step| format!("{id}{step}"));
+    assert_eq!(steps, expected);
+    assert_eq!(files(dir.path()).len(), 1, "the result");
 }

@@ -60,7 +60,7 @@ impl Asked {
         let points = told.unwrap_or_else(|| guess::of_file(received.head(), received.length())).max(most + 1);
         let (open, held) = received.into_opener();
         let options = Options { tile_points: Some(most), ..options };
-        Ok(Self::Tiled(Box::new(TiledRequest { open, held: Some(held), points, options, kept: None })))
+        Ok(Self::Tiled(Box::new(TiledRequest { open, held: Some(held), points, options, scratch: None })))
     }
 }
 

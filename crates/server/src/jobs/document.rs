@@ -13,7 +13,7 @@ use crate::http::upsample::About;
 use crate::jobs::{ask, seen};
 use crate::problem::Problem;
 use densecloud_engine::Client;
-use densecloud_jobs::{Failure, Jobs, Record, ResultFile, State, Task, Time};
+use densecloud_jobs::{AtWork, Failure, Jobs, Record, ResultFile, State, Time};
 
 /// One job.
 #[derive(Debug, Clone, Serialize)]
@@ -25,6 +25,9 @@ pub(crate) struct Document {
     points_in: u64,
     points_out: u64,
     pub(crate) progress: Progress,
+    /// The share of the result that is made by tiles that are done.
+    #[serde(skip)]
+    made: f64,
     /// Queued jobs before it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(crate) position: Option<u64>,
@@ -76,18 +79,11 @@ impl Document {
 
     /// Blocks for moments.
     pub(crate) fn of(app: &App, jobs: &Jobs, record: &Record) -> Result<Self, Problem> {
-        let task = jobs.task(&record.id);
-        Self::with(app, jobs, record, task.as_deref())
+        Self::with(app, jobs, record, &jobs.at_work(&record.id))
     }
 
-    /// As [`Document::of`], with what is known of a running job in memory.
-    pub(crate) fn with(
-        app: &App,
-        jobs: &Jobs,
-        record: &Record,
-        task: Option<&Task>,
-    ) -> Result<Self, Problem> {
-        let progress = Progress::of(record, task);
+    /// As [`Document::of`], with what is known in memory of the job's steps that run here.
+    pub(crate) fn with(app: &App, jobs: &Jobs, record: &Record, at_work: &AtWork) -> Result<Self, Problem> {
         let result = record.result.as_ref();
         let made = result.map(about).transpose()?.map(|about| about.points_out);
         let mut document = Self {
@@ -111,8 +107,12 @@ impl Document {
             result: result.map(|result| ResultDocument::of(&record.id, result)).transpose()?,
             problem: record.failure.as_ref().map(|failure| failed_as(failure, &record.request_id)),
             request_id: record.request_id.clone(),
-            progress,
+            made: share_made(record),
+            progress: Progress { stage: None, level: 0, levels: 0, fraction: share_made(record) },
         };
+        if record.state == State::Running {
+            document.tell_progress(at_work);
+        }
         match record.state {
             State::Queued => {
                 let (count, points) = jobs.store().ahead(record)?;
@@ -148,6 +148,7 @@ impl Document {
             points_in: 1,
             points_out: 2,
             progress: Progress { stage: Some("units"), level: 1, levels: 2, fraction: 0.5 },
+            made: 0.0,
             position: Some(0),
             attempts: 1,
             created: rfc3339(0),
@@ -170,11 +171,18 @@ impl Document {
     }
 
     /// Takes a running job's progress from memory.
-    pub(crate) fn advance(&mut self, app: &App, jobs: &Jobs, task: &Task) {
-        if let Some(progress) = task.progress() {
-            self.progress = progress.into();
+    pub(crate) fn advance(&mut self, app: &App, jobs: &Jobs, at_work: &AtWork) {
+        if self.tell_progress(at_work) {
             self.expect_end(app, jobs);
         }
+    }
+
+    /// The same; false where nothing is known there.
+    fn tell_progress(&mut self, at_work: &AtWork) -> bool {
+        let Some(now) = at_work.progress() else { return false };
+        let fraction = (self.made + now.fraction).min(1.0);
+        self.progress = densecloud_engine::Progress { fraction, ..now }.into();
+        true
     }
 
     fn expect_end(&mut self, app: &App, jobs: &Jobs) {
@@ -188,16 +196,12 @@ fn time(app: &App, points: u64) -> Option<Time> {
     Some((points as f64 / app.engine.rate()? * 1000.0).min(1e15) as Time)
 }
 
-impl Progress {
-    fn of(record: &Record, task: Option<&Task>) -> Self {
-        let running = task.filter(|_| record.state == State::Running).and_then(Task::progress);
-        running.map_or_else(
-            || {
-                let fraction = if record.state == State::Done { 1.0 } else { 0.0 };
-                Self { stage: None, level: 0, levels: 0, fraction }
-            },
-            Self::from,
-        )
+/// The share of the result that is made, by the record.
+fn share_made(record: &Record) -> f64 {
+    match (&record.tiles, record.state) {
+        (_, State::Done) => 1.0,
+        (Some(tiles), State::Running) => (tiles.points as f64 / record.points_out.max(1) as f64).min(1.0),
+        _ => 0.0,
     }
 }
 
@@ -240,7 +244,7 @@ fn failed_as(failure: &Failure, request_id: &str) -> Value {
         },
         Failure::Storage { why, full: true } => Problem::DiskFull(why.clone()),
         Failure::Storage { why, full: false } => Problem::Internal(why.clone()),
-        Failure::GaveUp { attempts } => Problem::GaveUp { attempts: *attempts },
+        Failure::GaveUp { attempts, tile } => Problem::GaveUp { attempts: *attempts, tile: *tile },
         Failure::Crashed => Problem::Internal("a worker panicked".to_owned()),
         other => Problem::Internal(format!("{other:?}")),
     };

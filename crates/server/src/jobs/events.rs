@@ -21,7 +21,7 @@ use crate::jobs::document::{Document, Progress};
 use crate::jobs::{JobId, ask, seen};
 use crate::problem::Problem;
 use densecloud_engine::Client;
-use densecloud_jobs::{Jobs, State, Task};
+use densecloud_jobs::{AtWork, Jobs, State};
 
 /// How often a running job's progress is looked at, in memory. The database is asked only when a job has changed: a
 /// thousand watchers cost nothing while none has.
@@ -66,7 +66,7 @@ struct Events {
     activity: Activity,
     changes: watch::Receiver<()>,
     /// The job as it was last looked up, and while it runs what is known of it in memory.
-    seen: Option<(Document, Option<Arc<Task>>)>,
+    seen: Option<(Document, AtWork)>,
     told: Option<News>,
     over: bool,
 }
@@ -82,11 +82,12 @@ impl Events {
         let (shared, client, id) = (Arc::clone(&self.app), self.client.clone(), self.id.clone());
         let prefix = self.prefix.clone();
         let seen = ask(&self.app, move |jobs| {
-            // Before the record: a job that has its task by then runs, or is over.
-            let task = jobs.task(&id);
+            // Before the record: a job that is at work by then runs, or is over.
+            let at_work = jobs.at_work(&id);
             let record = seen(&shared, jobs, &client, &id)?;
-            let document = Document::with(&shared, jobs, &record, task.as_deref())?.under(&prefix);
-            Ok((document, task.filter(|_| record.state == State::Running)))
+            let document = Document::with(&shared, jobs, &record, &at_work)?.under(&prefix);
+            let runs = record.state == State::Running;
+            Ok((document, if runs { at_work } else { AtWork::default() }))
         });
         self.seen = Some(seen.await?);
         Ok(())
@@ -116,10 +117,8 @@ impl Events {
                     }
                 }
             }
-            let (document, task) = self.seen.as_mut()?;
-            if let Some(task) = task {
-                document.advance(&self.app, &self.jobs, task);
-            }
+            let (document, at_work) = self.seen.as_mut()?;
+            document.advance(&self.app, &self.jobs, at_work);
             let news = (document.state, document.attempts, document.position, document.progress.clone());
             if self.told.as_ref() != Some(&news) {
                 self.told = Some(news);

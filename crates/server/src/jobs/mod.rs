@@ -4,6 +4,7 @@ pub(crate) mod document;
 pub(crate) mod events;
 mod intake;
 pub(crate) mod result;
+pub(crate) mod tiles;
 pub(crate) mod work;
 
 use std::sync::Arc;

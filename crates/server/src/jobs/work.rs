@@ -8,25 +8,18 @@ use serde::{Deserialize, Serialize};
 
 use crate::app::App;
 use crate::http::accepted::accepted;
-use crate::http::asked::{cost, unread};
 use crate::http::query;
 use crate::http::upload::reader_limits;
 use crate::http::upsample::{About, UpsampleRequest, prepare};
+use crate::jobs::tiles;
 use crate::problem::Problem;
-use crate::tiled::{KeptFolder, Open, Steps, TiledRequest, overall};
 use densecloud::{Options, Prepared};
-use densecloud_engine::{Caller, Client, EngineError, Progress};
+use densecloud_engine::{Caller, Client, EngineError};
 use densecloud_formats::{CloudReader, FormatError, encode};
-use densecloud_jobs::{BlobReader, Jobs, Record, Stopped, StoreError, Task, Work};
-use densecloud_tiles::{Folder, TilesError};
+use densecloud_jobs::{Begun, BlobReader, Parts, Place, Record, Stopped, Task, Work};
 
 /// Bytes of options at most: they are kept as long as the job is.
 const LONGEST: usize = 16 << 10;
-
-/// The folder of tiles, in that of the jobs.
-const TILES: &str = "tiles";
-/// Jobs that are looked at together.
-const PAGE: u32 = 1000;
 
 /// Whether options of this length, as they came, can be kept.
 ///
@@ -90,7 +83,7 @@ fn before(query: &str, accept: &str) -> Result<Options, Problem> {
 /// Starts the threads that run jobs, where there are any to keep.
 pub(crate) fn start(app: &Arc<App>) -> io::Result<()> {
     let Some(jobs) = &app.jobs else { return Ok(()) };
-    forget_others(app, jobs).map_err(io::Error::other)?;
+    tiles::clean(app);
     let work: Arc<dyn Work> = Arc::new(Upsampling(Arc::clone(app)));
     jobs.start(&work)
 }
@@ -98,38 +91,59 @@ pub(crate) fn start(app: &Arc<App>) -> io::Result<()> {
 struct Upsampling(Arc<App>);
 
 impl Work for Upsampling {
-    fn run(
+    fn begin(
         &self,
         job: &Record,
         input: Box<dyn BlobReader>,
+        place: &Place,
         task: &Task,
         sink: &mut dyn Write,
-    ) -> Result<String, Stopped> {
+    ) -> Result<Begun, Stopped> {
         let app = &self.0;
-        let (options, name) = kept(&job.request).map_err(|problem| stopped(&problem, job))?;
+        let (options, name) = asked(job)?;
         // It came under another limit. What is above this one might never find room.
         let limit = app.config.limits.body_bytes;
         let length = input.length()?;
         if length > limit {
             return Err(stopped(&Problem::BodyTooLarge { limit }, job));
         }
-        let about = match options.tile_points.is_some_and(|most| job.points_in > most) {
-            true => {
-                let made = tiles(app, job, (input, options), task, sink);
-                if !goes_on(app, &made) {
-                    forget(app, job);
-                }
-                made?
-            }
-            false => whole(app, job, (input, length, options), task, sink)?,
-        };
-        serde_json::to_string(&About { name, ..about })
-            .map_err(|error| stopped(&Problem::Internal(error.to_string()), job))
+        if options.tile_points.is_some_and(|most| job.points_in > most) {
+            return tiles::plan(app, job, (input, options), place, task);
+        }
+        let about = whole(app, job, (input, length, options), task, sink)?;
+        Ok(Begun::Done(told(About { name, ..about }, job)?))
+    }
+
+    fn tile(&self, job: &Record, tile: u32, place: &Place, task: &Task) -> Result<u64, Stopped> {
+        tiles::run(&self.0, job, (tile, asked(job)?.0), place, task)
+    }
+
+    fn join(
+        &self,
+        job: &Record,
+        parts: Parts,
+        place: &Place,
+        _task: &Task,
+        sink: &mut dyn Write,
+    ) -> Result<String, Stopped> {
+        let (options, name) = asked(job)?;
+        let about = tiles::join(&self.0, job, (parts, options), place, sink)?;
+        told(About { name, ..about }, job)
     }
 }
 
+/// The options and the name that a job keeps.
+fn asked(job: &Record) -> Result<(Options, Option<String>), Stopped> {
+    kept(&job.request).map_err(|problem| stopped(&problem, job))
+}
+
+/// What is told of a result, as text.
+fn told(about: About, job: &Record) -> Result<String, Stopped> {
+    serde_json::to_string(&about).map_err(|error| stopped(&Problem::Internal(error.to_string()), job))
+}
+
 /// Beside the same client's live requests: one that waits for these would hold up other clients' jobs.
-fn caller(job: &Record) -> Caller {
+pub(super) fn caller(job: &Record) -> Caller {
     Caller { client: Client::new(&format!("jobs of {}", job.client)), deadline: None }
 }
 
@@ -167,93 +181,15 @@ fn whole(
     Ok(About::of(&report))
 }
 
-/// The folder in which a job's tiles lie until it is over.
-fn folder(app: &App, job: &Record) -> Option<KeptFolder> {
-    let parent = app.config.jobs.as_ref()?.folder.join(TILES);
-    Some(KeptFolder { parent, name: job.id.clone() })
-}
-
-/// Whether a job is gone on with later: it waits for room, or the server stops.
-fn goes_on(app: &App, made: &Result<About, Stopped>) -> bool {
-    match made {
-        Err(Stopped::Later) => true,
-        Err(Stopped::Cancelled) => app.readiness.check().is_err(),
-        _ => false,
-    }
-}
-
-/// Removes what a job's tiles left.
-fn forget(app: &App, job: &Record) {
-    let Some(KeptFolder { parent, name }) = folder(app, job) else { return };
-    if let Err(error) = Folder::kept(&parent, &name).and_then(Folder::remove) {
-        tracing::warn!(job = job.id, %error, "tiles of a job that is over are left");
-    }
-}
-
-/// Removes the tiles of jobs that are over: the program was killed as they came to their end.
-fn forget_others(app: &App, jobs: &Jobs) -> Result<(), StoreError> {
-    let (mut waiting, mut before) = (Vec::new(), None);
-    loop {
-        let page = jobs.store().list(before, PAGE, None)?;
-        waiting.extend(page.iter().filter(|job| !job.state.is_final()).map(|job| job.id.clone()));
-        before = page.last().map(|job| job.number);
-        if page.len() < PAGE as usize {
-            break;
-        }
-    }
-    let Some(settings) = &app.config.jobs else { return Ok(()) };
-    let kept = Folder::keep_only(&settings.folder.join(TILES), waiting.iter().map(String::as_str));
-    if let Err(error) = kept {
-        tracing::warn!(%error, "tiles of jobs that are over are left");
-    }
-    Ok(())
-}
-
-/// One that is worked on tile by tile.
-fn tiles(
-    app: &Arc<App>,
-    job: &Record,
-    (input, options): (Box<dyn BlobReader>, Options),
-    task: &Task,
-    sink: &mut dyn Write,
-) -> Result<About, Stopped> {
-    let failed = |problem: Problem| stopped(&problem, job);
-    let caller = caller(job);
-    let left = app.engine.reserve(&caller, cost(&options, &unread(job.points_in)));
-    let left = left.map_err(|refusal| ended(refusal.into(), job))?;
-    let mut steps = Steps::over_permit(app, caller, options.clone(), left);
-    let open: Box<Open> = Box::new(move |limits, reading| CloudReader::open_as(input, limits, reading));
-    let kept = folder(app, job);
-    let planning = steps.plan(TiledRequest { open, held: None, points: job.points_in, options, kept });
-    // Little beside the work itself.
-    task.part(|progress| Progress { fraction: 0.0, ..progress });
-    let tiling = task.wait(planning).map_err(|error| ended(error, job))?.made.map_err(failed)?;
-    let (tiling, _on_disk) = steps.planned(tiling).map_err(failed)?;
-    let (mut done, mut points) = steps.pass_over().map_err(failed)?;
-    while let Some(tile) = steps.next() {
-        task.part(overall(&tiling, done, points));
-        let outcome = task.wait(tile).map_err(|error| ended(error, job))?;
-        points += steps.took(outcome).map_err(failed)?;
-        done += 1;
-    }
-    let join = tiling.join().map_err(|error| failed(error.into()))?;
-    let report = join.write(sink).map_err(|error| match error {
-        TilesError::Format(error) => unwritten(error, job),
-        error => failed(error.into()),
-    })?;
-    steps.over(true);
-    Ok(About::of(&report))
-}
-
 /// Why the engine has no result.
-fn ended(error: EngineError, job: &Record) -> Stopped {
+pub(super) fn ended(error: EngineError, job: &Record) -> Stopped {
     match error {
         EngineError::Cancelled => Stopped::Cancelled,
         error => stopped(&Problem::from_engine(error), job),
     }
 }
 
-fn unwritten(error: FormatError, job: &Record) -> Stopped {
+pub(super) fn unwritten(error: FormatError, job: &Record) -> Stopped {
     match error {
         FormatError::Io(error) => Stopped::Storage(error),
         error => stopped(&Problem::Internal(error.to_string()), job),
@@ -261,7 +197,7 @@ fn unwritten(error: FormatError, job: &Record) -> Stopped {
 }
 
 /// What a problem is to a job: for what live requests and other jobs have, it can wait.
-fn stopped(problem: &Problem, job: &Record) -> Stopped {
+pub(super) fn stopped(problem: &Problem, job: &Record) -> Stopped {
     match problem {
         Problem::Refused(refusal) if refusal.retry_after().is_some() => Stopped::Later,
         Problem::TempFull { .. } => Stopped::Later,

@@ -193,6 +193,8 @@ pub(super) enum Problem {
     GaveUp {
         /// How often it was started.
         attempts: u32,
+        /// Of a job in tiles, the one that it ended under.
+        tile: Option<u32>,
     },
     /// A failure of the server's own.
     Internal(
@@ -246,7 +248,7 @@ impl Problem {
             | Self::JobDisk { limit, .. }
             | Self::HeldFull { limit, .. }
             | Self::TempFull { limit, .. } => Some((*limit).into()),
-            Self::GaveUp { attempts } => Some((*attempts).into()),
+            Self::GaveUp { attempts, .. } => Some((*attempts).into()),
             Self::UploadStalled { limit }
             | Self::Deadline { limit, .. }
             | Self::Refused(Refusal::Busy { limit, .. }) => seconds(limit),

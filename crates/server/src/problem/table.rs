@@ -173,7 +173,11 @@ problems! {
         "the job is {state}; only one that is done has a result";
     Self::Range { length } => RANGE_NOT_SATISFIABLE "range-not-satisfiable" "No such part of the result":
         "the result has {length} bytes; the range begins after them";
-    Self::GaveUp { attempts } =>
+    Self::GaveUp { attempts, tile: Some(tile) } =>
+        INTERNAL_SERVER_ERROR "job-gave-up" "The job was interrupted too often" ("--job-attempts"):
+        "the server ended {attempts} times while it worked on tile {tile} of this job, and will not try again; {setting} \
+         lifts this limit";
+    Self::GaveUp { attempts, tile: None } =>
         INTERNAL_SERVER_ERROR "job-gave-up" "The job was interrupted too often" ("--job-attempts"):
         "the server ended {attempts} times while it worked on this job, and will not try again; {setting} lifts this \
          limit";

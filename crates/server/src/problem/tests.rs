@@ -67,7 +67,8 @@ pub(crate) fn every_problem() -> Vec<(Problem, u16, &'static str)> {
         (Problem::JobDisk { used: 5, wanted: 1, limit: 5 }, 507, "job-disk-full"),
         (Problem::JobsBusy("x"), 503, "jobs-busy"),
         (Problem::DiskFull("x".into()), 507, "disk-full"),
-        (Problem::GaveUp { attempts: 3 }, 500, "job-gave-up"),
+        (Problem::GaveUp { attempts: 3, tile: None }, 500, "job-gave-up"),
+        (Problem::GaveUp { attempts: 3, tile: Some(7) }, 500, "job-gave-up"),
         (Problem::Internal("secret".into()), 500, "internal"),
     ]
 }

@@ -14,7 +14,8 @@ use tokio::runtime::Handle;
 use tokio::sync::watch;
 use tokio::task::JoinSet;
 
-pub(crate) use steps::{Steps, overall};
+use steps::Steps;
+pub(crate) use steps::{cost_of, submit_plan, submit_tile};
 
 use crate::admission::budget::Held;
 use crate::admission::ticket::Ticket;
@@ -33,16 +34,8 @@ pub(crate) struct TiledRequest {
     /// Points in, as the file's header tells them or as they are guessed.
     pub(crate) points: u64,
     pub(crate) options: Options,
-    /// The folder that it is worked on in, and gone on with; where none is said, one that goes with the work.
-    pub(crate) kept: Option<KeptFolder>,
-}
-
-/// A folder that stays when a work is stopped.
-#[derive(Debug, Clone)]
-pub(crate) struct KeptFolder {
-    pub(crate) parent: PathBuf,
-    /// The work's.
-    pub(crate) name: String,
+    /// Where the folder of its tiles lies, if not among the other temporary ones.
+    pub(crate) scratch: Option<PathBuf>,
 }
 
 /// Opens a cloud.

@@ -9,7 +9,7 @@ use crate::app::App;
 use crate::http::asked::{cost, unread};
 use crate::http::upload::reader_limits;
 use crate::problem::Problem;
-use crate::tiled::{KeptFolder, TiledRequest};
+use crate::tiled::TiledRequest;
 use densecloud::Options;
 use densecloud_cascade::{CascadeError, LevelRunner, Observer, Stage};
 use densecloud_engine::{Caller, Cost, Outcome, Part, Pending, Permit, Progress};
@@ -81,29 +81,61 @@ fn planned(
     runner: &dyn LevelRunner,
     watch: &dyn Watch,
 ) -> Result<Tiling, TilesError> {
-    let TiledRequest { open, options, kept, held: _held, .. } = request;
-    let folder = match &kept {
-        Some(KeptFolder { parent, name }) => Folder::kept(parent, name)?,
-        None => Folder::temporary(&app.config.temp_dir())?,
-    };
+    let TiledRequest { open, options, scratch, held: _held, .. } = request;
+    let folder = Folder::temporary(&scratch.unwrap_or_else(|| app.config.temp_dir()))?;
     let reader = open(limits, &options.reading)?;
     let (model, tile_points) = (&app.config.model.name, tile_points(&options));
     let work = Work { options: &options, model, runner, tile_points, watch };
     match Input::read(reader, 0)? {
-        Input::Large(large) if folder.has_plan() => {
-            let resumed = Tiling::resumed(*large, &work, &folder);
-            match resumed {
-                // Of another version, say. Whoever can wait begins anew.
-                Err(TilesError::Differs { .. } | TilesError::Broken { .. }) => {
-                    folder.remove()?;
-                    Err(CascadeError::Cancelled.into())
-                }
-                resumed => resumed,
-            }
-        }
         Input::Large(large) => plan(*large, &work, &folder),
         Input::Small(..) => Err(densecloud_formats::FormatError::Empty("points").into()),
     }
+}
+
+/// What planning a request is counted as.
+fn planning_cost(options: &Options, points: u64) -> Cost {
+    let ratio = match options.points_out(points) as f64 / points.max(1) as f64 {
+        ratio if ratio > 1.0 => ratio,
+        _ => USUAL,
+    };
+    Cost::new(PLANNING, (PLANNING as f64 * ratio.min(64.0)) as u64).times(options.effort())
+}
+
+/// Has a request planned.
+pub(crate) fn submit_plan(
+    app: &Arc<App>,
+    caller: &Caller,
+    permit: Permit,
+    request: TiledRequest,
+) -> Pending<Settled<Tiling>> {
+    let part = Part { cost: planning_cost(&request.options, request.points), is_typical: false };
+    let (limits, shared) = (reader_limits(app), Arc::clone(app));
+    let work = move |runner: &dyn LevelRunner, observer: &dyn Observer| {
+        settled(planned(&shared, limits, request, runner, &Heard(observer)))
+    };
+    app.engine.submit_part(caller, permit, part, work)
+}
+
+/// What is reserved for a tile.
+pub(crate) fn cost_of(tiling: &Tiling, tile: u32, options: &Options) -> Cost {
+    let [own, _, size] = tiling.points(tile);
+    Cost::new(own, size).times(options.effort())
+}
+
+/// Has a tile worked on.
+pub(crate) fn submit_tile(
+    app: &Arc<App>,
+    caller: &Caller,
+    permit: Permit,
+    (tiling, tile): (Arc<Tiling>, u32),
+    options: &Options,
+) -> Pending<Settled<u64>> {
+    let [own, around, size] = tiling.points(tile);
+    let all = size as f64 * (own + around) as f64 / own.max(1) as f64;
+    let cost = Cost::new(own + around, all as u64).times(options.effort());
+    let work =
+        move |runner: &dyn LevelRunner, observer: &dyn Observer| settled(tiling.run(tile, runner, observer));
+    app.engine.submit_part(caller, permit, Part { cost, is_typical: true }, work)
 }
 
 impl Steps {
@@ -118,31 +150,15 @@ impl Steps {
         options: &Options,
     ) -> Result<Self, Problem> {
         let (caller, deadline, left) = ticket.into_parts(cost(options, &unread(points)))?;
-        let steps = Self::over_permit(app, caller, options.clone(), left);
         deadline.enter("of planning and work");
-        Ok(steps)
-    }
-
-    /// The same where the points are reserved.
-    pub(crate) fn over_permit(app: &Arc<App>, caller: Caller, options: Options, left: Permit) -> Self {
-        let (app, stages) = (Arc::clone(app), Vec::new());
-        Self { app, caller, options, left, tiling: None, next: 0, stages }
+        let (app, options, stages) = (Arc::clone(app), options.clone(), Vec::new());
+        Ok(Self { app, caller, options, left, tiling: None, next: 0, stages })
     }
 
     /// The first step.
     pub(crate) fn plan(&mut self, request: TiledRequest) -> Pending<Settled<Tiling>> {
-        let app = Arc::clone(&self.app);
-        let ratio = match self.options.points_out(request.points) as f64 / request.points.max(1) as f64 {
-            ratio if ratio > 1.0 => ratio,
-            _ => USUAL,
-        };
-        let size = Cost::new(PLANNING, (PLANNING as f64 * ratio.min(64.0)) as u64);
-        let part = Part { cost: size.times(self.options.effort()), is_typical: false };
-        let limits = reader_limits(&app);
-        let work = move |runner: &dyn LevelRunner, observer: &dyn Observer| {
-            settled(planned(&app, limits, request, runner, &Heard(observer)))
-        };
-        self.app.engine.submit_part(&self.caller, self.left.part(Cost::new(0, 0)), part, work)
+        let permit = self.left.part(Cost::new(0, 0));
+        submit_plan(&self.app, &self.caller, permit, request)
     }
 
     /// Takes the plan, which tells how large the work is, and its share of the disk.
@@ -161,36 +177,13 @@ impl Steps {
         Ok((tiling, on_disk))
     }
 
-    /// Passes over the tiles that were done before the work was gone on with: how many there are, and the points that they
-    /// gave.
-    ///
-    /// # Errors
-    /// What is told of them cannot be read.
-    pub(crate) fn pass_over(&mut self) -> Result<(u32, u64), Problem> {
-        let mut points = 0;
-        while let Some(tiling) = self.tiling.as_ref().filter(|tiling| self.next < tiling.len()) {
-            let Some(made) = tiling.points_made(self.next)? else { break };
-            let [own, _, size] = tiling.points(self.next);
-            drop(self.left.part(Cost::new(own, size).times(self.options.effort())));
-            (self.next, points) = (self.next + 1, points + made);
-        }
-        Ok((self.next, points))
-    }
-
     /// The next tile, if there is one.
     pub(crate) fn next(&mut self) -> Option<Pending<Settled<u64>>> {
         let tiling = Arc::clone(self.tiling.as_ref().filter(|tiling| self.next < tiling.len())?);
         let tile = self.next;
         self.next += 1;
-        let [own, around, size] = tiling.points(tile);
-        let effort = self.options.effort();
-        let all = size as f64 * (own + around) as f64 / own.max(1) as f64;
-        let part = Part { cost: Cost::new(own + around, all as u64).times(effort), is_typical: true };
-        let permit = self.left.part(Cost::new(own, size).times(effort));
-        let work = move |runner: &dyn LevelRunner, observer: &dyn Observer| {
-            settled(tiling.run(tile, runner, observer))
-        };
-        Some(self.app.engine.submit_part(&self.caller, permit, part, work))
+        let permit = self.left.part(cost_of(&tiling, tile, &self.options));
+        Some(submit_tile(&self.app, &self.caller, permit, (tiling, tile), &self.options))
     }
 
     /// Takes note of a tile that is done, and gives its points.

@@ -58,13 +58,18 @@ pub(crate) fn append(path: &Path, block: &Block) -> Result<(), TilesError> {
 /// The chunks of a file.
 pub(crate) struct Chunks {
     path: PathBuf,
-    file: BufReader<File>,
+    file: BufReader<Box<dyn Read + Send>>,
 }
 
 impl Chunks {
     pub(crate) fn open(path: &Path) -> Result<Self, TilesError> {
         let file = File::open(path).map_err(TilesError::file(path))?;
-        Ok(Self { path: path.to_owned(), file: BufReader::with_capacity(1 << 18, file) })
+        Ok(Self::of(path, Box::new(file)))
+    }
+
+    /// Of a file that is read from elsewhere.
+    pub(crate) fn of(path: &Path, file: Box<dyn Read + Send>) -> Self {
+        Self { path: path.to_owned(), file: BufReader::with_capacity(1 << 18, file) }
     }
 
     /// The next one; none at the end of the file.
