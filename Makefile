@@ -14,8 +14,9 @@ demo: build
 
 test: test-rust test-python
 
-test-rust: onnxruntime
-	cargo test --workspace
+# Tests that need a store or a database are ignored elsewhere.
+test-rust: onnxruntime venv
+	sh scripts/with-services.sh cargo test --workspace -- --include-ignored
 
 test-python: venv
 	.venv/bin/python -m pytest -q training/tests
