@@ -6,6 +6,8 @@
 //! | `records` | the trait of whatever keeps records, with leases on the jobs that run |
 //! | `sqlite` | the first implementation of it, for one program at a time |
 //! | `store` | records, and blobs beside them: which is written first, and which is removed first |
+//! | `counted` | how many bytes go to and from the blobs |
+//! | `shared` | a store that programs on many machines share |
 //! | `work` | what jobs are about, and one job while it runs |
 //! | `worker` | the threads that run what is queued |
 //! | `clock`, `settings`, `error` | what they say |
@@ -14,10 +16,12 @@
 //! nothing of databases; clouds and results lie wherever [`Blobs`] keeps them.
 
 mod clock;
+mod counted;
 mod error;
 mod record;
 mod records;
 mod settings;
+mod shared;
 mod sqlite;
 mod store;
 #[cfg(test)]
@@ -29,9 +33,11 @@ pub use clock::{Clock, SystemClock};
 pub use densecloud_blobs::{BlobReader, BlobWriter, Blobs, Folder};
 pub use error::{StoreError, Trouble};
 pub use record::{CloudFile, Draft, Failure, NewJob, Record, ResultFile, State, Tiles, Time};
-pub use records::{Admitted, Bounds, Forgotten, Lapsed, Lease, Load, Promised, Records, Step, Submitted};
-pub use settings::Settings;
+pub use records::{
+    Admitted, Bounds, Forgotten, Lapsed, Lease, Load, Promised, Records, Step, Submitted, Waiting,
+};
+pub use settings::{Keeping, Settings};
 pub use sqlite::Sqlite;
 pub use store::{Found, Input, Place, ResultWriter, Store};
-pub use work::{Begun, Parts, Stopped, Task, Work};
+pub use work::{Begun, How, Parts, Stopped, Task, Work};
 pub use worker::{AtWork, Deleted, Jobs};

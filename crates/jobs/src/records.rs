@@ -159,6 +159,12 @@ pub trait Records: Send + Sync {
     /// What the database says.
     fn counts(&self) -> Result<[(State, u64); 5], StoreError>;
 
+    /// What waits to be claimed, and how many processes work.
+    ///
+    /// # Errors
+    /// What the database says.
+    fn waiting(&self) -> Result<Waiting, StoreError>;
+
     /// What is queued or running.
     ///
     /// # Errors
@@ -209,6 +215,18 @@ pub enum Step {
     Tile(u32),
     /// Joining its tiles, all of which are done.
     Join,
+}
+
+impl Step {
+    /// The name of its kind, in metrics.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Whole => "whole",
+            Self::Tile(_) => "tile",
+            Self::Join => "join",
+        }
+    }
 }
 
 /// The right to work at a job for a while.
@@ -273,6 +291,21 @@ pub struct Load {
     pub clients: u64,
     /// Jobs of the client that asks.
     pub own: u64,
+}
+
+/// What waits to be claimed.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Waiting {
+    /// Jobs that are to be begun.
+    pub whole: u64,
+    /// Tiles.
+    pub tiles: u64,
+    /// Jobs that are to be joined.
+    pub joins: u64,
+    /// When the oldest of the jobs came that are to be begun.
+    pub oldest: Option<Time>,
+    /// Processes that have [said](Records::attend) of late that they are there.
+    pub processes: u64,
 }
 
 /// Whether a job may come.

@@ -16,9 +16,12 @@ use std::time::SystemTime;
 use densecloud_blobs::{BlobReader, BlobWriter, Blobs, Folder, Listed};
 use sha2::{Digest, Sha256};
 
+use crate::counted::{Counted, Traffic};
 use crate::error::StoreError;
 use crate::record::{Draft, Failure, Record, ResultFile, State, Time};
-use crate::records::{Admitted, Bounds, Forgotten, Lapsed, Lease, Load, Promised, Records, Step, Submitted};
+use crate::records::{
+    Admitted, Bounds, Forgotten, Lapsed, Lease, Load, Promised, Records, Step, Submitted, Waiting,
+};
 use crate::sqlite::Sqlite;
 
 /// Jobs that outlive the program. Two stores over the same records and blobs are one store.
@@ -26,6 +29,7 @@ use crate::sqlite::Sqlite;
 pub struct Store {
     records: Arc<dyn Records>,
     blobs: Arc<dyn Blobs>,
+    traffic: Arc<Traffic>,
 }
 
 /// A job, and its result where it is done.
@@ -56,7 +60,15 @@ impl Store {
     /// Over any records and blobs. Others may be at work on them, so nothing is cleaned.
     #[must_use]
     pub fn new(records: Arc<dyn Records>, blobs: Arc<dyn Blobs>) -> Self {
-        Self { records, blobs }
+        let traffic = Arc::<Traffic>::default();
+        let counted = Counted { blobs, traffic: Arc::clone(&traffic) };
+        Self { records, blobs: Arc::new(counted), traffic }
+    }
+
+    /// Bytes that were read from and written to the blobs so far.
+    #[must_use]
+    pub fn traffic(&self) -> [u64; 2] {
+        self.traffic.bytes()
     }
 
     /// Opens a folder with an SQLite database and files beside it, made where it is missing, and brings an older
@@ -205,6 +217,14 @@ impl Store {
     /// What the database says.
     pub fn counts(&self) -> Result<[(State, u64); 5], StoreError> {
         self.records.counts()
+    }
+
+    /// See [`Records::waiting`].
+    ///
+    /// # Errors
+    /// What the database says.
+    pub fn waiting(&self) -> Result<Waiting, StoreError> {
+        self.records.waiting()
     }
 
     /// See [`Records::used`].

@@ -2,11 +2,13 @@
 
 use std::io::{self, Write};
 use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
 
 use densecloud_blobs::BlobReader;
 use densecloud_engine::{EngineError, Outcome, Progress, ProgressHandle};
 
 use crate::record::Record;
+use crate::records::Step;
 use crate::store::Place;
 
 /// What jobs are about.
@@ -44,6 +46,38 @@ pub trait Work: Send + Sync + 'static {
         task: &Task,
         sink: &mut dyn Write,
     ) -> Result<String, Stopped>;
+
+    /// Hears of a step that ended here: how, and after how long.
+    fn ended(&self, _step: Step, _how: How, _took: Duration) {}
+}
+
+/// How a step ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum How {
+    /// It is done.
+    Done,
+    /// Its job has failed of it.
+    Failed,
+    /// It waits again.
+    Later,
+    /// It is another's, or its job is over.
+    Lost,
+}
+
+impl How {
+    /// All.
+    pub const ALL: [Self; 4] = [Self::Done, Self::Failed, Self::Later, Self::Lost];
+
+    /// Its name in metrics.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Done => "done",
+            Self::Failed => "failed",
+            Self::Later => "later",
+            Self::Lost => "lost",
+        }
+    }
 }
 
 /// What the parts of all tiles are joined from.

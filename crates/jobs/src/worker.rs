@@ -3,9 +3,10 @@
 use std::collections::HashMap;
 use std::io;
 use std::panic::AssertUnwindSafe;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
-use std::time::Duration;
+use std::time::{Duration, Instant, SystemTime};
 
 use densecloud_engine::Progress;
 use tokio::sync::watch;
@@ -14,9 +15,10 @@ use crate::clock::{Clock, SystemClock};
 use crate::error::StoreError;
 use crate::record::{Draft, Failure, Record, ResultFile, Time};
 use crate::records::{Lease, Step, Submitted};
-use crate::settings::Settings;
+use crate::settings::{Keeping, Settings};
+use crate::shared;
 use crate::store::{Input, Store};
-use crate::work::{Begun, Checked, Parts, Stopped, Task, Work, passes};
+use crate::work::{Begun, Checked, How, Parts, Stopped, Task, Work, passes};
 
 /// What deleting did to a job.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -40,6 +42,7 @@ pub struct Jobs {
     stopped: Condvar,
     // A watch channel, so that many can wait for a change of any job.
     changes: watch::Sender<()>,
+    beats_failed: AtomicU64,
 }
 
 #[derive(Default)]
@@ -83,11 +86,11 @@ enum Ended {
     Tile(u64),
 }
 
-/// How long a lease is, in milliseconds. It is extended when half of it is over, so a worker that ended is missed
-/// after this time at most, and one that is slow for half of it loses nothing.
-const LEASE: Time = 120_000;
 /// How often leases, and expired jobs, are looked at, at least.
 const LOOK: Duration = Duration::from_secs(30);
+/// How often blobs are looked for that nobody needs, where several programs share them, and how old those are: older than
+/// what is written before the record that promises it.
+const COLLECT: Duration = Duration::from_secs(3600);
 /// Expired jobs that are forgotten at once: one wait for the disk each time, between which others have the
 /// database.
 const BATCH: u32 = 200;
@@ -104,13 +107,20 @@ impl Running {
 }
 
 impl Jobs {
-    /// Opens the store in the settings' folder, under the computer's clock. Nothing runs before [`Jobs::start`].
+    /// Opens the store where the settings say, under the clock that counts there. Nothing runs before [`Jobs::start`].
     ///
     /// # Errors
     /// As [`Store::open`].
     pub fn open(settings: Settings) -> Result<Self, StoreError> {
-        let store = Store::open(&settings.folder, settings.bounds(), SystemClock.now())?;
-        Ok(Self::new(store, settings, Arc::new(SystemClock)))
+        let (store, clock): (Store, Arc<dyn Clock>) = match &settings.keeping {
+            Keeping::Folder(folder) => {
+                (Store::open(folder, settings.bounds(), SystemClock.now())?, Arc::new(SystemClock))
+            }
+            Keeping::Shared { database, store, kind, .. } => {
+                shared::open(database, store, kind, settings.bounds())?
+            }
+        };
+        Ok(Self::new(store, settings, clock))
     }
 
     /// Over any store, which may be shared with others, and any clock. Nothing runs before [`Jobs::start`].
@@ -124,6 +134,7 @@ impl Jobs {
             queued: Condvar::new(),
             stopped: Condvar::new(),
             changes: watch::Sender::new(()),
+            beats_failed: AtomicU64::new(0),
         }
     }
 
@@ -137,6 +148,11 @@ impl Jobs {
     #[must_use]
     pub fn settings(&self) -> &Settings {
         &self.settings
+    }
+
+    /// How often leases could not be extended, since the database did not answer.
+    pub fn beats_failed(&self) -> u64 {
+        self.beats_failed.load(Ordering::Relaxed)
     }
 
     /// The time on the jobs' clock.
@@ -154,7 +170,10 @@ impl Jobs {
         let named = |name: String| std::thread::Builder::new().name(name);
         for i in 0..self.settings.running {
             let (jobs, work) = (Arc::clone(self), Arc::clone(work));
-            let worker = format!("process {}, thread {i}", std::process::id());
+            let worker = match &self.settings.keeping {
+                Keeping::Shared { process, .. } => format!("{process}, thread {i}"),
+                Keeping::Folder(_) => format!("process {}, thread {i}", std::process::id()),
+            };
             let thread = named(format!("densecloud-stored-{i}")).spawn(move || jobs.work(&worker, &*work))?;
             running.threads.push(thread);
         }
@@ -259,9 +278,11 @@ impl Jobs {
 
     fn work(&self, worker: &str, work: &dyn Work) {
         while let Some((lease, task)) = self.next(worker) {
-            let stopped = self.run(&lease, &task, work);
+            let start = Instant::now();
+            let (how, pause) = self.run(&lease, &task, work);
+            work.ended(lease.step, how, start.elapsed());
             self.changes.send_replace(());
-            if let Err(Pause) = stopped {
+            if pause {
                 drop(self.queued.wait_timeout(self.lock(), PAUSE));
             }
         }
@@ -273,7 +294,7 @@ impl Jobs {
         while !running.stopping {
             let wait = match self.claim(&mut running, worker) {
                 Ok(Some(started)) => return Some(started),
-                Ok(None) if running.lost.is_empty() => LOOK,
+                Ok(None) if running.lost.is_empty() => self.look(),
                 Ok(None) => BROKEN,
                 Err(error) => {
                     tracing::error!(%error, "no job can be started");
@@ -294,7 +315,8 @@ impl Jobs {
         // those beside it.
         let now = self.now();
         self.renew(running, now)?;
-        let Some(lease) = self.store.claim(worker, now, now.saturating_add(LEASE))? else { return Ok(None) };
+        let until = now.saturating_add(self.lease());
+        let Some(lease) = self.store.claim(worker, now, until)? else { return Ok(None) };
         let task = Arc::new(Task::default());
         let run = Run { lease: lease.clone(), task: Arc::clone(&task) };
         running.tasks.insert((lease.record.id.clone(), lease.step), run);
@@ -307,12 +329,34 @@ impl Jobs {
         Ok(Some((lease, task)))
     }
 
+    /// How long a lease is, in milliseconds. It is extended when half of it is over, so a worker that ended is missed after
+    /// this time at most, and one that is slow for half of it loses nothing.
+    fn lease(&self) -> Time {
+        self.settings.lease.as_millis().try_into().unwrap_or(Time::MAX)
+    }
+
+    /// How often leases, and what waits, are looked at, whoever tells of changes.
+    fn look(&self) -> Duration {
+        LOOK.min(self.settings.lease / 4)
+    }
+
     /// Extends the leases of which half is over. Work at a job whose lease is another's is stopped.
     fn renew(&self, running: &mut Running, now: Time) -> Result<(), StoreError> {
-        let until = now.saturating_add(LEASE);
+        let half_over = now.saturating_add(self.lease() / 2);
+        self.renew_those(running, now, |lease| lease.until <= half_over)
+    }
+
+    /// Extends some leases.
+    fn renew_those(
+        &self,
+        running: &mut Running,
+        now: Time,
+        which: impl Fn(&Lease) -> bool,
+    ) -> Result<(), StoreError> {
+        let until = now.saturating_add(self.lease());
         let mut taken = Vec::new();
         for (key @ (id, _), Run { lease, task }) in &mut running.tasks {
-            if lease.until.saturating_sub(now) > LEASE / 2 {
+            if !which(lease) {
                 continue;
             }
             if self.store.beat(lease, until)? {
@@ -330,18 +374,45 @@ impl Jobs {
     /// Extends leases, and forgets jobs when their time has come, on a thread of its own, since all others may be at
     /// work for long.
     fn keep_up(&self) {
+        let mut collected = Instant::now();
         let mut running = self.lock();
         while !running.stopping {
             if let Err(error) = self.renew(&mut running, self.now()) {
+                self.beats_failed.fetch_add(1, Ordering::Relaxed);
                 tracing::error!(%error, "leases of jobs cannot be extended");
             }
             drop(running);
             let more = self.expire();
+            if let Keeping::Shared { process, .. } = &self.settings.keeping {
+                self.attend(process);
+                if collected.elapsed() > COLLECT {
+                    collected = Instant::now();
+                    self.collect();
+                }
+            }
             running = self.lock();
             if !more && !running.stopping {
-                let wait = LOOK.min(self.settings.expiry.max(PAUSE));
+                let wait = self.look().min(self.settings.expiry.max(PAUSE));
                 running = self.stopped.wait_timeout(running, wait).unwrap_or_else(PoisonError::into_inner).0;
             }
+        }
+    }
+
+    /// Says that this process is there.
+    fn attend(&self, process: &str) {
+        match self.store.attend(process, self.now()) {
+            Ok(taken) => taken.iter().for_each(|id| {
+                tracing::warn!(job = id, "a job of a version or model that nobody runs any more begins anew");
+            }),
+            Err(error) => tracing::error!(%error, "nobody can be told that this process is there"),
+        }
+    }
+
+    fn collect(&self) {
+        let collected =
+            SystemTime::now().checked_sub(COLLECT).map_or(Ok(()), |time| self.store.collect(time));
+        if let Err(error) = collected {
+            tracing::error!(%error, "leftovers of jobs cannot be removed");
         }
     }
 
@@ -364,7 +435,8 @@ impl Jobs {
         }
     }
 
-    fn run(&self, lease: &Lease, task: &Task, work: &dyn Work) -> Result<(), Pause> {
+    /// Does a step and keeps what came of it; says how it ended, and whether the thread should wait before it tries the next.
+    fn run(&self, lease: &Lease, task: &Task, work: &dyn Work) -> (How, bool) {
         let id = &lease.record.id;
         // A panic is a bug in one job; it must not take the thread, and all other jobs, with it.
         let ended = std::panic::catch_unwind(AssertUnwindSafe(|| self.attempt(lease, task, work)));
@@ -381,22 +453,25 @@ impl Jobs {
             running.tasks.remove(&key);
         }
         let kept = match ended {
-            Err(_) if task.cancelled() => Ok(()),
+            Err(_) if task.cancelled() => Ok(How::Lost),
             Err(stopped) => match self.stop_at(lease, stopped) {
                 Ok(Some(failure)) => {
                     // The job is over: what others do of it is of no use.
                     running.of(id).for_each(|run| run.task.cancel());
-                    self.fail(lease, &failure).map(|_| ())
+                    self.fail(lease, &failure)
                 }
-                Ok(None) => return Err(Pause),
+                Ok(None) => Ok(How::Later),
                 Err(error) => Err(error),
             },
             Ok(ended) => self.keep(lease, &ended),
         };
-        kept.map_err(|error| {
-            lose(running, lease, &error);
-            Pause
-        })
+        match kept {
+            Ok(how) => (how, how == How::Later),
+            Err(error) => {
+                lose(running, lease, &error);
+                (How::Lost, true)
+            }
+        }
     }
 
     /// Does a step.
@@ -423,28 +498,30 @@ impl Jobs {
     }
 
     /// Keeps what came of a step.
-    fn keep(&self, lease: &Lease, ended: &Ended) -> Result<(), StoreError> {
+    fn keep(&self, lease: &Lease, ended: &Ended) -> Result<How, StoreError> {
         let Record { id, request_id, .. } = &lease.record;
+        let kept = match ended {
+            Ended::Result(result) => self.store.done(lease, result, self.now())?,
+            Ended::Split { sizes, bytes } => self.store.split(lease, sizes, *bytes)?,
+            Ended::Tile(points) => self.store.tile_done(lease, *points)?,
+        };
+        if !kept {
+            return Ok(How::Lost);
+        }
         match ended {
             Ended::Result(result) => {
-                if self.store.done(lease, result, self.now())? {
-                    tracing::info!(job = id, request = request_id, bytes = result.bytes, "job done");
-                }
+                tracing::info!(job = id, request = request_id, bytes = result.bytes, "job done");
             }
-            Ended::Split { sizes, bytes } => {
-                if self.store.split(lease, sizes, *bytes)? {
-                    tracing::info!(job = id, request = request_id, tiles = sizes.len(), "job planned");
-                    self.queued.notify_all();
-                }
+            Ended::Split { sizes, .. } => {
+                tracing::info!(job = id, request = request_id, tiles = sizes.len(), "job planned");
+                self.queued.notify_all();
             }
             Ended::Tile(points) => {
-                if self.store.tile_done(lease, *points)? {
-                    tracing::info!(job = id, request = request_id, step = ?lease.step, points, "tile done");
-                    self.queued.notify_one();
-                }
+                tracing::info!(job = id, request = request_id, step = ?lease.step, points, "tile done");
+                self.queued.notify_one();
             }
         }
-        Ok(())
+        Ok(How::Done)
     }
 
     /// A step has no result: what its job fails of, or none where it waits again.
@@ -470,13 +547,13 @@ impl Jobs {
         }))
     }
 
-    fn fail(&self, lease: &Lease, failure: &Failure) -> Result<bool, StoreError> {
-        self.store.failed(lease, failure, self.now()).inspect(|&failed| {
-            if failed {
-                let Record { id, request_id, .. } = &lease.record;
-                tracing::info!(job = id, request = request_id, ?failure, "job failed");
-            }
-        })
+    fn fail(&self, lease: &Lease, failure: &Failure) -> Result<How, StoreError> {
+        if !self.store.failed(lease, failure, self.now())? {
+            return Ok(How::Lost);
+        }
+        let Record { id, request_id, .. } = &lease.record;
+        tracing::info!(job = id, request = request_id, ?failure, "job failed");
+        Ok(How::Failed)
     }
 }
 
@@ -485,6 +562,3 @@ fn lose(mut running: MutexGuard<'_, Running>, lease: &Lease, error: &StoreError)
     tracing::error!(job = lease.record.id, %error, "a job's state cannot be kept");
     running.lost.push(lease.clone());
 }
-
-/// The thread should wait before it tries the next job.
-struct Pause;

@@ -15,7 +15,7 @@ use tokio::time::timeout;
 use crate::admission::budget::Budget;
 use crate::admission::client;
 use crate::admission::parsing::Parsing;
-use crate::config::Config;
+use crate::config::{Config, Role};
 use crate::connection::{compress, cors, head, prefix, record};
 use crate::http::readiness::Readiness;
 use crate::http::{openapi, upsample};
@@ -92,6 +92,11 @@ impl App {
     }
 }
 
+/// What every program of a fleet tells of itself.
+fn probes() -> Vec<Route> {
+    vec![get("/healthz", healthz), get("/readyz", readyz), get("/metrics", metrics)]
+}
+
 /// All paths but those of gRPC.
 pub(super) fn routes() -> Vec<Route> {
     let mut routes = vec![
@@ -102,20 +107,21 @@ pub(super) fn routes() -> Vec<Route> {
         delete("/jobs/{id}", jobs::delete),
         get("/jobs/{id}/result", jobs::result::result),
         get("/jobs/{id}/events", jobs::events::events),
-        get("/healthz", healthz),
-        get("/readyz", readyz),
-        get("/metrics", metrics),
         get("/openapi.json", openapi::openapi),
         get("/docs", openapi::docs),
     ];
+    routes.extend(probes());
     routes.extend(inference::routes());
     routes
 }
 
 /// What answers every request.
 pub(super) fn router(app: Arc<App>) -> Router {
-    let routes = route::router(routes())
-        .merge(grpc::routes(&app))
+    let routes = match app.config.role {
+        Role::Server => route::router(routes()).merge(grpc::routes(&app)),
+        Role::Worker => route::router(probes()),
+    };
+    let routes = routes
         .fallback(|| async { Problem::NotFound })
         .method_not_allowed_fallback(|| async { Problem::MethodNotAllowed })
         .layer(middleware::from_fn_with_state(Arc::clone(&app), client::identify))
@@ -145,8 +151,12 @@ async fn readyz(State(app): State<Arc<App>>) -> Result<&'static str, Problem> {
 
 async fn metrics(State(app): State<Arc<App>>) -> impl IntoResponse {
     // Where the store does not answer soon, the figures stay those of the last time; the log has the reason.
-    if let Ok(Ok(counts)) = timeout(COUNTS, jobs::ask(&app, |jobs| Ok(jobs.store().counts()?))).await {
-        app.metrics.jobs(&counts);
+    let asked = jobs::ask(&app, |jobs| Ok((jobs.store().counts()?, jobs.store().waiting()?, jobs.now())));
+    if let Ok(Ok((counts, waiting, now))) = timeout(COUNTS, asked).await {
+        app.metrics.jobs(&counts, &waiting, now);
+    }
+    if let Some(jobs) = &app.jobs {
+        app.metrics.fleet(jobs.beats_failed(), jobs.store().traffic());
     }
     let page = app.metrics.render(&app.engine, &app.config, app.budget.used());
     ([(header::CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")], page)

@@ -31,8 +31,11 @@ pub struct Config {
     /// Where long uploads and the tiles of large clouds lie while they are worked on (`--temp-dir`); the system's folder for
     /// temporary files where nobody says.
     pub temp: Option<PathBuf>,
-    /// Whether and how jobs are kept; none without a folder (`--data-dir`).
+    /// Whether and how jobs are kept; none without a folder (`--data-dir`), or a database and a store that several programs
+    /// share.
     pub jobs: Option<Settings>,
+    /// What it is there for.
+    pub role: Role,
     /// The sites whose pages may use the server from a browser (`--cors-origin`); none by default.
     pub cors: Vec<CorsOrigin>,
     /// The path under which a proxy offers the server (`--base-path`); none by default.
@@ -43,9 +46,24 @@ pub struct Config {
     pub lines_lost: LinesLost,
 }
 
+/// What a program is there for, of those that share jobs.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum Role {
+    /// It takes requests, and works on jobs, too, where it keeps any.
+    #[default]
+    Server,
+    /// It works on jobs; over HTTP it tells of its health and its figures alone.
+    Worker,
+}
+
 /// A count of lines that could not be written; clones count together.
 #[derive(Debug, Clone, Default)]
 pub struct LinesLost(Arc<AtomicU64>);
+
+/// Whether nobody would work on jobs without threads for them: none else shares them, or this is a worker.
+fn needs_workers(config: &Config, jobs: &Settings) -> bool {
+    jobs.folder().is_some() || config.role == Role::Worker
+}
 
 impl LinesLost {
     /// One more.
@@ -182,7 +200,11 @@ impl Config {
             ("--keep-alive-timeout", keep_alive.is_zero()),
             ("--stall-timeout", stall.is_zero()),
             ("--request-timeout", request.is_zero()),
-            ("--jobs-running", self.jobs.as_ref().is_some_and(|jobs| jobs.running == 0)),
+            (
+                "--jobs-running",
+                self.jobs.as_ref().is_some_and(|jobs| jobs.running == 0 && needs_workers(self, jobs)),
+            ),
+            ("--job-lease", self.jobs.as_ref().is_some_and(|jobs| jobs.lease.is_zero())),
             ("--max-jobs", self.jobs.as_ref().is_some_and(|jobs| jobs.queued == 0)),
             ("--client-jobs", self.jobs.as_ref().is_some_and(|jobs| jobs.client_queued == 0)),
             ("--job-attempts", self.jobs.as_ref().is_some_and(|jobs| jobs.attempts == 0)),

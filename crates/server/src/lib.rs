@@ -45,7 +45,7 @@ use tokio::time::{Instant, interval, sleep, timeout_at};
 
 pub use admission::client::Access;
 pub use admission::keys::{Keys, KeysError};
-pub use config::{Config, ConfigError, Limits, LinesLost, ModelInfo, Timeouts};
+pub use config::{Config, ConfigError, Limits, LinesLost, ModelInfo, Role, Timeouts};
 pub use connection::cors::CorsOrigin;
 pub use connection::prefix::BasePath;
 
@@ -64,11 +64,11 @@ pub enum ServeError {
     /// The model did not run.
     #[error("the model failed its warm-up: {0}")]
     WarmUp(EngineError),
-    /// The folder of the jobs cannot be used.
-    #[error("--data-dir {folder}: {why}")]
+    /// Where the jobs are kept cannot be used.
+    #[error("{place}: {why}")]
     Jobs {
-        /// The folder.
-        folder: String,
+        /// The setting, and what it says where that is no secret.
+        place: String,
         /// What is wrong with it.
         why: StoreError,
     },
@@ -157,7 +157,14 @@ fn open_jobs(config: &Config) -> Result<Option<Arc<Jobs>>, ServeError> {
     let Some(settings) = &config.jobs else { return Ok(None) };
     match Jobs::open(settings.clone()) {
         Ok(jobs) => Ok(Some(Arc::new(jobs))),
-        Err(why) => Err(ServeError::Jobs { folder: settings.folder.display().to_string(), why }),
+        Err(why) => {
+            let place = match (settings.folder(), &why) {
+                (Some(folder), _) => format!("--data-dir {}", folder.display()),
+                (None, StoreError::Io(_)) => "--store".to_owned(),
+                (None, _) => "--database".to_owned(),
+            };
+            Err(ServeError::Jobs { place, why })
+        }
     }
 }
 

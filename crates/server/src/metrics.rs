@@ -3,6 +3,8 @@
 //! Each server has its own recorder, held here, instead of the process-wide one of the `metrics`
 //! macros: several servers in one process (tests, for one) do not mix their figures.
 
+mod jobs;
+
 use std::time::Duration;
 
 use metrics::{Counter, Gauge, Histogram, Key, Label, Level, Metadata, Recorder, Unit};
@@ -11,7 +13,6 @@ use metrics_process::Collector;
 
 use crate::config::{Config, ModelInfo};
 use densecloud_engine::Engine;
-use densecloud_jobs::State;
 
 /// The figures of one server. All names, in one place.
 pub(super) struct Metrics {
@@ -51,7 +52,6 @@ const REFUSED: &str = "densecloud_refused_total";
 const ESTIMATED: &str = "densecloud_work_estimated_seconds";
 const WORKED: &str = "densecloud_work_seconds";
 const HELD: &str = "densecloud_held_bytes";
-const JOBS: &str = "densecloud_jobs";
 const MODEL: &str = "densecloud_model_info";
 const BUILD: &str = "densecloud_build_info";
 const LINES_LOST: &str = "densecloud_log_lines_lost_total";
@@ -147,12 +147,12 @@ impl Metrics {
             (BACKLOG, Some(Unit::Seconds), "How long all that is admitted will take"),
             (MEMORY, Some(Unit::Bytes), "Memory that the work at hand takes, as estimated"),
             (HELD, Some(Unit::Bytes), "Uploads not yet parsed and results not yet sent"),
-            (JOBS, None, "Jobs that are kept, by state"),
             (MODEL, None, "The model that answers; always 1"),
             (BUILD, None, "The program; always 1"),
         ] {
             recorder.describe_gauge(name.into(), unit, text.into());
         }
+        jobs::describe(&recorder);
         let metrics = Self {
             handle: recorder.handle(),
             duration: Interface::ALL.map(|interface| {
@@ -274,14 +274,6 @@ impl Metrics {
         self.handle.render().replacen(gauge, counter, 1)
     }
 
-    /// How many jobs are kept in each state.
-    pub(super) fn jobs(&self, counts: &[(State, u64)]) {
-        for (state, count) in counts {
-            let key = Key::from_parts(JOBS, vec![Label::from_static_parts("state", state.name())]);
-            self.recorder.register_gauge(&key, &METADATA).set(*count as f64);
-        }
-    }
-
     /// Folds recorded durations into their buckets; without it they pile up until the next
     /// [`Metrics::render`], which may never come.
     pub(super) fn fold(&self) {
@@ -306,6 +298,7 @@ mod tests {
     use densecloud_backends::ModelName;
     use densecloud_cascade::Fake;
     use densecloud_engine::EngineConfig;
+    use densecloud_jobs::{How, State, Step, Waiting};
 
     fn idle() -> Engine {
         Engine::with_backend(std::sync::Arc::new(Fake::new()), EngineConfig::default()).expect("an engine")
@@ -394,7 +387,9 @@ mod tests {
         let metrics = Metrics::new(&ModelInfo::default()).expect("metrics");
         metrics.ended(Interface::Http, "ok", Duration::ZERO);
         metrics.stage("units", Duration::ZERO);
-        metrics.jobs(&[(State::Queued, 1)]);
+        metrics.jobs(&[(State::Queued, 1)], &Waiting::default(), 0);
+        metrics.step(Step::Join, How::Done, Duration::ZERO);
+        metrics.fleet(0, [0, 0]);
         metrics.refused("queue-full");
         metrics.worked(Duration::ZERO, Duration::ZERO);
         let page = metrics.render(&idle(), &Config::default(), 0);
@@ -403,7 +398,7 @@ mod tests {
             .filter(|line| line.contains(" densecloud_"))
             .filter_map(|line| line.strip_prefix("# TYPE ")?.split(' ').next())
             .collect();
-        assert_eq!(names.len(), 20, "{names:?}");
+        assert_eq!(names.len(), 27, "{names:?}");
         for name in names {
             assert!(manual.contains(&format!("`{name}`")), "{name} is not in the manual");
         }

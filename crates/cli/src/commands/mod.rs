@@ -27,6 +27,7 @@ mod tiled;
 mod tiles;
 mod upsample;
 mod upsample_remote;
+mod worker;
 
 pub(crate) use error::CliError;
 
@@ -35,6 +36,7 @@ use std::io::{self, Write};
 use std::process::ExitCode;
 
 use clap::{ArgMatches, CommandFactory, FromArgMatches, Parser, Subcommand};
+use densecloud_server::Role;
 use settings::Refused;
 
 /// Turns a sparse, noisy 3D point cloud into a dense one.
@@ -57,6 +59,7 @@ enum Command {
     Tiles(tiles::TilesArgs),
     Inspect(inspect::InspectArgs),
     Serve(Box<serve_args::ServeArgs>),
+    Worker(Box<worker::WorkerArgs>),
     Job(job::JobArgs),
     Healthcheck(healthcheck::HealthcheckArgs),
     Evaluate(evaluate::EvaluateArgs),
@@ -84,7 +87,10 @@ pub(crate) fn main() -> ExitCode {
         Err(Refused::File(error)) => return failed(&error),
     };
     let done = match arguments.command {
-        Command::Serve(args) if !args.prints_settings() => return serve::run(&args),
+        Command::Serve(args) if !args.prints_settings() => return serve::run(&args, Role::Server),
+        Command::Worker(worker) if !worker.args.prints_settings() => {
+            return serve::run(&worker.args, Role::Worker);
+        }
         command => run(command, &matches),
     };
     match done {
@@ -127,7 +133,11 @@ fn run(command: Command, matches: &ArgMatches) -> Result<(), CliError> {
         Command::Evaluate(args) => evaluate::run(&args),
         // To serve, it never comes back here.
         Command::Serve(args) => {
-            args.check()?;
+            args.check(Role::Server)?;
+            files::print(&settings::page(&Arguments::command(), matches))
+        }
+        Command::Worker(worker) => {
+            worker.args.check(Role::Worker)?;
             files::print(&settings::page(&Arguments::command(), matches))
         }
         Command::Job(args) => job::run(&args),

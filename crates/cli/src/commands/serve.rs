@@ -18,7 +18,8 @@ use super::tile_args::temp_files_in;
 use super::{CliError, data_folder, engine_args, memory};
 use densecloud_backends::Model;
 use densecloud_engine::Engine;
-use densecloud_server::{Config, Keys, ModelInfo};
+use densecloud_jobs::Settings;
+use densecloud_server::{Config, Keys, ModelInfo, Role};
 
 /// Threads for parsing and encoding. Few, since the engine's own threads need the processors; enough
 /// that one long parse does not hold up the others.
@@ -46,12 +47,12 @@ fn raise_descriptors(connections: usize) {
 }
 
 /// Serves until it is told to end; says why, where it does not or ends by itself.
-pub(super) fn run(args: &ServeArgs) -> ExitCode {
+pub(super) fn run(args: &ServeArgs, role: Role) -> ExitCode {
     let log = match Log::start() {
         Ok(log) => log,
         Err(error) => return super::failed(&CliError::Failed(format!("cannot start the log: {error}"))),
     };
-    let code = match begin(args, &log) {
+    let code = match begin(args, role, &log) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             tell(&error, args.log_format, &log);
@@ -75,12 +76,12 @@ fn tell(error: &CliError, format: LogFormat, log: &Log) {
     }
 }
 
-fn begin(args: &ServeArgs, log: &Log) -> Result<(), CliError> {
+fn begin(args: &ServeArgs, role: Role, log: &Log) -> Result<(), CliError> {
     let process = Process::begin()?;
-    let Checked { mut config, model, filter } = args.check()?;
+    let Checked { mut config, model, filter } = args.check(role)?;
     config.lines_lost = log.lost().clone();
-    if let Some(jobs) = &config.jobs {
-        data_folder::prepare(&jobs.folder)?;
+    if let Some(folder) = config.jobs.as_ref().and_then(Settings::folder) {
+        data_folder::prepare(folder)?;
     }
     if let Some(temp) = &config.temp {
         temp_files_in(temp)?;

@@ -3,7 +3,7 @@
 use std::net::ToSocketAddrs;
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, SystemTime};
 
 use clap::{Args, ValueEnum};
 use tracing_subscriber::EnvFilter;
@@ -14,7 +14,10 @@ use super::memory::{self, Memory};
 use super::settings::SettingsArgs;
 use densecloud_backends::Model;
 use densecloud_engine::EngineConfig;
-use densecloud_server::{Access, BasePath, Config, CorsOrigin, Keys, Limits, LinesLost, ModelInfo, Timeouts};
+use densecloud_jobs::{Keeping, Settings};
+use densecloud_server::{
+    Access, BasePath, Config, CorsOrigin, Keys, Limits, LinesLost, ModelInfo, Role, Timeouts,
+};
 
 /// Points out that a service takes at a time.
 const QUEUE_POINTS: u64 = 50_000_000;
@@ -184,23 +187,29 @@ impl ServeArgs {
     ///
     /// # Errors
     /// [`CliError::Usage`] with the setting and what to do, for all that the settings are to blame for.
-    pub(super) fn check(&self) -> Result<Checked, CliError> {
+    pub(super) fn check(&self, role: Role) -> Result<Checked, CliError> {
         self.access.check()?;
-        let mut config = self.config();
+        let model = self.engine.model().map_err(|error| match &self.engine.model {
+            Some(_) => CliError::Usage(format!("{error}; --model is a folder as in models/default")),
+            None => error,
+        })?;
+        let mut config = self.config(role);
+        config.jobs = self.jobs.settings(&model)?;
+        if role == Role::Worker && config.jobs.as_ref().is_none_or(|jobs| jobs.folder().is_some()) {
+            return Err(CliError::Usage(
+                "a worker needs --database and --store, which it shares with the servers whose jobs it works on".into(),
+            ));
+        }
         config.access.keys = self.access.keys()?;
         config.validate().map_err(|e| CliError::Usage(e.to_string()))?;
         self.check_host()?;
         let filter = EnvFilter::try_new(&self.log)
             .map_err(|e| CliError::Usage(format!("--log {:?}: {e}; try info or debug", self.log)))?;
-        if let Some(jobs) = config.jobs.as_ref().filter(|jobs| jobs.folder.exists() && !jobs.folder.is_dir())
-        {
-            let folder = jobs.folder.display();
+        let folder = config.jobs.as_ref().and_then(Settings::folder);
+        if let Some(folder) = folder.filter(|folder| folder.exists() && !folder.is_dir()) {
+            let folder = folder.display();
             return Err(CliError::Usage(format!("--data-dir {folder} is a file; give it a folder")));
         }
-        let model = self.engine.model().map_err(|error| match &self.engine.model {
-            Some(_) => CliError::Usage(format!("{error}; --model is a folder as in models/default")),
-            None => error,
-        })?;
         Ok(Checked { config, model, filter })
     }
 
@@ -231,7 +240,7 @@ impl ServeArgs {
         }
     }
 
-    fn config(&self) -> Config {
+    fn config(&self, role: Role) -> Config {
         Config {
             limits: Limits {
                 body_bytes: self.max_body_bytes,
@@ -252,7 +261,8 @@ impl ServeArgs {
             },
             access: self.access.access(),
             temp: self.temp_dir.clone(),
-            jobs: self.jobs.settings(),
+            jobs: None,
+            role,
             cors: self.cors_origin.clone(),
             base_path: self.base_path.clone().unwrap_or_default(),
             model: ModelInfo::default(),
@@ -268,7 +278,22 @@ struct JobsArgs {
     #[arg(long, env = "DENSECLOUD_DATA_DIR", value_name = "DIR")]
     data_dir: Option<PathBuf>,
 
-    /// Jobs that run at a time
+    /// Database that servers and workers share instead of a folder, such as postgres://user@host/name; its password is in
+    /// PGPASSWORD or PGPASSFILE
+    #[arg(long, env = "DENSECLOUD_DATABASE", value_name = "ADDRESS")]
+    database: Option<String>,
+
+    /// Store that they share for clouds and results, such as s3://bucket/prefix, or a folder that all of them see; what it
+    /// takes to reach it is in AWS_ACCESS_KEY_ID and the like
+    #[arg(long, env = "DENSECLOUD_STORE", value_name = "ADDRESS")]
+    store: Option<String>,
+
+    /// How long a worker may be silent before its step of a job is given to another; with --database
+    #[arg(long, env = "DENSECLOUD_JOB_LEASE", value_name = "SECONDS", value_parser = seconds,
+        default_value = "30")]
+    job_lease: Duration,
+
+    /// Steps of jobs that run here at a time; 0 where others work on them
     #[arg(long, env = "DENSECLOUD_JOBS_RUNNING", value_name = "N", default_value_t = 1)]
     jobs_running: usize,
 
@@ -295,17 +320,44 @@ struct JobsArgs {
 }
 
 impl JobsArgs {
-    fn settings(&self) -> Option<densecloud_jobs::Settings> {
-        let folder = self.data_dir.clone()?;
-        Some(densecloud_jobs::Settings {
-            folder,
+    /// What this process shares with others.
+    fn shared(&self, database: &str, store: &str, model: &Model) -> Keeping {
+        let host = gethostname::gethostname();
+        // A container's first process always has the same number.
+        let started = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
+        let name = model.name();
+        Keeping::Shared {
+            database: database.to_owned(),
+            store: store.to_owned(),
+            process: format!("{}, process {}, {:x}", host.display(), std::process::id(), started.as_millis()),
+            kind: format!("{}, {} {}", env!("CARGO_PKG_VERSION"), name.name, name.sha256),
+        }
+    }
+
+    /// How jobs are kept, if they are.
+    fn settings(&self, model: &Model) -> Result<Option<Settings>, CliError> {
+        let keeping = match (&self.data_dir, &self.database, &self.store) {
+            (None, None, None) => return Ok(None),
+            (Some(folder), None, None) => Keeping::Folder(folder.clone()),
+            (None, Some(database), Some(store)) => self.shared(database, store, model),
+            (Some(_), ..) => {
+                let why = "--data-dir is for one server alone; --database and --store are instead of it";
+                return Err(CliError::Usage(why.into()));
+            }
+            (None, Some(_), None) => return Err(CliError::Usage("--database also needs --store".into())),
+            (None, None, Some(_)) => return Err(CliError::Usage("--store also needs --database".into())),
+        };
+        let lease = if let Keeping::Shared { .. } = keeping { self.job_lease } else { Settings::LEASE_ALONE };
+        Ok(Some(Settings {
+            keeping,
             running: self.jobs_running,
+            lease,
             expiry: self.job_expiry,
             disk: self.job_disk,
             queued: self.max_jobs,
             client_queued: self.client_jobs,
             attempts: self.job_attempts,
-        })
+        }))
     }
 }
 
@@ -402,15 +454,37 @@ mod tests {
 
     #[test]
     fn without_arguments_the_settings_are_the_servers_defaults() {
-        assert_eq!(parse(&[]).expect("arguments").config(), Config::default());
+        assert_eq!(parse(&[]).expect("arguments").config(Role::Server), Config::default());
     }
 
     #[test]
     fn a_folder_turns_jobs_on_with_the_defaults_of_the_library() {
-        let config = parse(&["--data-dir=x"]).expect("arguments").config();
-        assert_eq!(config.jobs, Some(densecloud_jobs::Settings::new("x".into())));
-        let none = parse(&["--data-dir=x", "--jobs-running=0"]).expect("arguments").config();
-        assert!(none.validate().expect_err("none would run").to_string().contains("--jobs-running"));
+        let checked = |arguments: &[&str], role| parse(arguments).expect("arguments").check(role);
+        let config = checked(&["--data-dir=x"], Role::Server).expect("settings").config;
+        assert_eq!(config.jobs, Some(Settings::new("x".into())));
+        let none = checked(&["--data-dir=x", "--jobs-running=0"], Role::Server);
+        assert!(none.err().expect("none would run").to_string().contains("--jobs-running"));
+    }
+
+    #[test]
+    fn a_database_and_a_store_are_shared_and_go_together() {
+        let shared = ["--database=postgres://a@b/c", "--store=s3://d"];
+        let checked = |arguments: &[&str], role| parse(arguments).expect("arguments").check(role);
+        let config =
+            checked(&[&shared[..], &["--jobs-running=0"]].concat(), Role::Server).expect("settings").config;
+        let jobs = config.jobs.expect("jobs");
+        assert_eq!((jobs.folder(), jobs.running, jobs.lease.as_secs()), (None, 0, 30));
+        for (arguments, role, word) in [
+            (&shared[..1], Role::Server, "--store"),
+            (&shared[1..], Role::Server, "--database"),
+            (&[shared[0], "--data-dir=x"][..], Role::Server, "--data-dir"),
+            (&["--data-dir=x"][..], Role::Worker, "--database"),
+            (&[][..], Role::Worker, "--store"),
+            (&[shared[0], shared[1], "--jobs-running=0"][..], Role::Worker, "--jobs-running"),
+        ] {
+            let refused = checked(arguments, role).err().expect("it cannot work").to_string();
+            assert!(refused.contains(word), "{arguments:?}: {refused}");
+        }
     }
 
     #[test]
@@ -430,7 +504,7 @@ mod tests {
             "--drain-lead=9",
             "--drain-timeout=0",
         ]);
-        let Config { limits, timeouts, .. } = args.expect("arguments").config();
+        let Config { limits, timeouts, .. } = args.expect("arguments").config(Role::Server);
         let expected = Limits {
             body_bytes: 1,
             points_in: 2,
@@ -467,7 +541,7 @@ mod tests {
 
     #[test]
     fn what_is_open_and_how_much_memory_there_is_can_be_chosen() {
-        let access = |arguments: &[&str]| parse(arguments).expect("arguments").config().access;
+        let access = |arguments: &[&str]| parse(arguments).expect("arguments").config(Role::Server).access;
         assert!(!access(&["--open=health,docs"]).open_metrics);
         let none = access(&["--open=none", "--trust-forwarded"]);
         assert!(!none.open_health && !none.open_metrics && !none.open_docs && none.trust_forwarded);

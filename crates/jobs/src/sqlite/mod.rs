@@ -12,7 +12,9 @@ use rusqlite::{Connection, Params, Row, params};
 
 use crate::error::StoreError;
 use crate::record::{Draft, Failure, Record, ResultFile, State, Time};
-use crate::records::{Admitted, Bounds, Forgotten, Lapsed, Lease, Load, Promised, Records, Step, Submitted};
+use crate::records::{
+    Admitted, Bounds, Forgotten, Lapsed, Lease, Load, Promised, Records, Step, Submitted, Waiting,
+};
 use rows::{
     change, collect, failed, failure_text, find, integer, load, natural, one, result_text, select, used,
 };
@@ -325,6 +327,19 @@ impl Records for Sqlite {
             *count = one(&database, sql, [state.name()], |row| row.get(0).map(natural))?;
         }
         Ok(counts)
+    }
+
+    fn waiting(&self) -> Result<Waiting, StoreError> {
+        let sql = "SELECT count(*) FILTER (WHERE tiles IS NULL), \
+                   (SELECT count(*) FROM tiles WHERE state = 'waiting'), \
+                   count(*) FILTER (WHERE tiles_done = tiles), \
+                   min(created) FILTER (WHERE tiles IS NULL) FROM jobs WHERE waits";
+        one(&self.database(), sql, [], |row| {
+            let number = |column: usize| row.get(column).map(natural);
+            let (whole, tiles, joins) = (number(0)?, number(1)?, number(2)?);
+            // The lock is its own alone.
+            Ok(Waiting { whole, tiles, joins, oldest: row.get(3)?, processes: 1 })
+        })
     }
 
     fn load(&self, client: &str) -> Result<Load, StoreError> {

@@ -29,7 +29,10 @@ pub(super) fn tiles_are_claimed_by_many_and_joined_by_one(records: &dyn Records)
     let tiles = |done| Some(Tiles { plan: "plan".to_owned(), count: 3, done, points: u64::from(done) });
     assert_eq!((job.state, job.tiles, job.started), (State::Running, tiles(0), Some(1)));
     assert_eq!(records.promised().expect("names"), [Promised::Tiles(id.clone())]);
+    let waiting = || records.waiting().expect("counts");
+    assert_eq!((waiting().whole, waiting().tiles, waiting().joins, waiting().oldest), (0, 3, 0, None));
     let leases: Vec<_> = (0..3).map(|_| claim(records, 2)).collect();
+    assert_eq!(waiting().tiles, 0);
     assert_eq!(leases.iter().map(|lease| lease.step).collect::<Vec<_>>(), [0, 1, 2].map(Step::Tile));
     assert!(nothing_waits(records));
     // In another order, and the second is put back once.
@@ -43,6 +46,7 @@ pub(super) fn tiles_are_claimed_by_many_and_joined_by_one(records: &dyn Records)
     assert!(records.tile_done(&again, "part 1", 1).expect("no fault"));
     let names = [(0, "part 0"), (1, "part 1"), (2, "part 2")].map(|(tile, name)| (tile, name.to_owned()));
     assert_eq!(records.parts(&id).expect("names"), names);
+    assert_eq!((waiting().tiles, waiting().joins), (0, 1));
     let join = claim(records, 6);
     assert_eq!((join.step, &join.record.tiles), (Step::Join, &tiles(3)));
     assert!(nothing_waits(records));
@@ -152,5 +156,7 @@ pub(super) fn a_job_whose_tiles_are_of_no_use_begins_anew(records: &dyn Records)
     assert_eq!((job.state, job.tiles, job.attempts, job.started), (State::Queued, None, 0, None));
     assert!(records.used().expect("a sum") < used - 100);
     assert_eq!(records.promised().expect("names"), [Promised::Input(id.clone())]);
+    let waiting = records.waiting().expect("counts");
+    assert_eq!((waiting.whole, waiting.tiles, waiting.oldest), (1, 0, Some(0)));
     assert_eq!(steps(records, 1), [(id, Step::Whole)]);
 }

@@ -15,15 +15,13 @@ use densecloud::Options;
 use densecloud_cascade::Silent;
 use densecloud_engine::{Cost, Outcome, Progress};
 use densecloud_formats::CloudReader;
-use densecloud_jobs::{Begun, BlobReader, Parts, Place, Record, Stopped, Task};
+use densecloud_jobs::{Begun, BlobReader, Parts, Place, Record, Settings, Stopped, Task};
 use densecloud_tiles::{Folder, Input, Shelf, TilesError, Tiling};
 
-/// Where the folders lie that steps work in: beside their blobs, so that files can be moved there.
+/// Where the folders lie that steps work in: beside their blobs, where these are files, so that those can be moved there.
 pub(crate) fn scratch(app: &App) -> PathBuf {
-    match &app.config.jobs {
-        Some(settings) => settings.folder.join("tiles"),
-        None => app.config.temp_dir(),
-    }
+    let folder = app.config.jobs.as_ref().and_then(Settings::folder);
+    folder.map_or_else(|| app.config.temp_dir(), |folder| folder.join("tiles"))
 }
 
 /// Removes what steps of earlier programs left.

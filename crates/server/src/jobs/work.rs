@@ -2,6 +2,7 @@
 
 use std::io::{self, Read as _, Write};
 use std::sync::Arc;
+use std::time::Duration;
 
 use axum::http::{HeaderMap, HeaderValue, header};
 use serde::{Deserialize, Serialize};
@@ -16,7 +17,7 @@ use crate::problem::Problem;
 use densecloud::{Options, Prepared};
 use densecloud_engine::{Caller, Client, EngineError};
 use densecloud_formats::{CloudReader, FormatError, encode};
-use densecloud_jobs::{Begun, BlobReader, Parts, Place, Record, Stopped, Task, Work};
+use densecloud_jobs::{Begun, BlobReader, How, Parts, Place, Record, Step, Stopped, Task, Work};
 
 /// Bytes of options at most: they are kept as long as the job is.
 const LONGEST: usize = 16 << 10;
@@ -129,6 +130,10 @@ impl Work for Upsampling {
         let (options, name) = asked(job)?;
         let about = tiles::join(&self.0, job, (parts, options), place, sink)?;
         told(About { name, ..about }, job)
+    }
+
+    fn ended(&self, step: Step, how: How, took: Duration) {
+        self.0.metrics.step(step, how, took);
     }
 }
 

@@ -68,7 +68,6 @@ pub(crate) fn every_problem() -> Vec<(Problem, u16, &'static str)> {
         (Problem::JobsBusy("x"), 503, "jobs-busy"),
         (Problem::DiskFull("x".into()), 507, "disk-full"),
         (Problem::GaveUp { attempts: 3, tile: None }, 500, "job-gave-up"),
-        (Problem::GaveUp { attempts: 3, tile: Some(7) }, 500, "job-gave-up"),
         (Problem::Internal("secret".into()), 500, "internal"),
     ]
 }

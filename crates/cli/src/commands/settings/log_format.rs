@@ -5,7 +5,7 @@ use std::path::Path;
 
 use toml::de::DeTable;
 
-use super::SERVE;
+use super::has_settings;
 
 /// The setting, its value for JSON, and the file's own.
 const FORMAT: (&str, &str) = ("log-format", "DENSECLOUD_LOG_FORMAT");
@@ -20,7 +20,7 @@ pub(in crate::commands) fn logs_json(arguments: &[OsString]) -> bool {
     let Some((command, options)) = arguments.split_first().and_then(|(_, rest)| rest.split_first()) else {
         return false;
     };
-    if command != SERVE || options.iter().any(|option| option == PRINT) {
+    if !has_settings(command) || options.iter().any(|option| option == PRINT) {
         return false;
     }
     let set = |(option, variable)| typed(options, option).or_else(|| std::env::var_os(variable));

@@ -1,4 +1,4 @@
-//! The settings of `densecloud serve`: from the command line, else the environment, else a file, else
+//! The settings of `densecloud serve` and `densecloud worker`: from the command line, else the environment, else a file, else
 //! the default.
 //!
 //! There is no second list of them. Every option of the command that has a name in the environment is
@@ -13,7 +13,7 @@ mod page;
 #[cfg(test)]
 mod tests;
 
-use std::ffi::OsString;
+use std::ffi::{OsStr, OsString};
 use std::fmt;
 use std::path::PathBuf;
 
@@ -26,6 +26,18 @@ pub(super) use page::page;
 
 /// The command whose options are settings.
 const SERVE: &str = "serve";
+/// The other command that has the same settings.
+const WORKER: &str = "worker";
+
+/// Whether a command is one of those with settings.
+fn has_settings(command: &OsStr) -> bool {
+    command == SERVE || command == WORKER
+}
+
+/// What is given to such a command.
+fn given(matches: &ArgMatches) -> Option<&ArgMatches> {
+    matches.subcommand().filter(|(name, _)| has_settings(name.as_ref())).map(|(_, given)| given)
+}
 /// The option that names the file, which is none of the settings in it.
 const CONFIG: &str = "config";
 
@@ -80,18 +92,18 @@ impl From<clap::Error> for Refused {
     }
 }
 
-/// Parses the arguments (the program's name first); for `serve`, with what its file adds.
+/// Parses the arguments (the program's name first); for those with settings, with what their file adds.
 ///
 /// # Errors
 /// See [`Refused`]; help and version come as errors, too, as clap has it.
 pub(super) fn parse(command: &Command, arguments: &[OsString]) -> Result<ArgMatches, Refused> {
     let plain = || command.clone().try_get_matches_from(arguments);
-    if arguments.get(1).is_none_or(|name| name != SERVE) {
+    if arguments.get(1).is_none_or(|name| !has_settings(name)) {
         return Ok(plain()?);
     }
     // The file may have what the rest needs, so errors wait for the second look.
     let typed = command.clone().ignore_errors(true).try_get_matches_from(arguments)?;
-    let Some(serve) = typed.subcommand_matches(SERVE) else { return Ok(plain()?) };
+    let Some(serve) = given(&typed) else { return Ok(plain()?) };
     let Some(path) = serve.get_one::<PathBuf>(CONFIG) else { return Ok(plain()?) };
     let entries = file::read(path, &of_serve(command)).map_err(Refused::File)?;
     let mut all = arguments.to_vec();

@@ -6,7 +6,7 @@ use clap::parser::ValueSource;
 use clap::{Arg, ArgMatches, Command};
 
 use super::kind::Kind;
-use super::{SERVE, is_list, key, of_serve};
+use super::{given, is_list, key, of_serve};
 
 /// Characters in a line of the page.
 const WIDTH: usize = 100;
@@ -14,11 +14,11 @@ const WIDTH: usize = 100;
 /// All settings as a file, those at their defaults commented out.
 pub(in crate::commands) fn page(command: &Command, matches: &ArgMatches) -> String {
     let mut page = String::from(
-        "# Settings of `densecloud serve`; give it this file with --config or DENSECLOUD_CONFIG.\n\
+        "# Settings of `densecloud serve` and `densecloud worker`; give them this file with --config or DENSECLOUD_CONFIG.\n\
          # Options on the command line go before variables in the environment, these before this file.\n\
          # Each setting is here with its default, its option and its variable.\n",
     );
-    let Some(serve) = matches.subcommand_matches(SERVE) else { return page };
+    let Some(serve) = given(matches) else { return page };
     for setting in of_serve(command) {
         page.push('\n');
         let mut help = setting.get_help().map(ToString::to_string).unwrap_or_default();
