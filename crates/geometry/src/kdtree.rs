@@ -1,5 +1,7 @@
 //! Exact nearest neighbours by a k-d tree of our own.
 
+use pulp::{Arch, Simd, WithSimd};
+
 use super::limit::indices;
 use densecloud_cloud::Point;
 
@@ -9,9 +11,13 @@ const LEAF: usize = 32;
 const PARALLEL: usize = 1 << 13;
 /// Up to this many neighbours are kept sorted, which is faster than a heap for few.
 const SORTED_MAX: usize = 64;
+/// Points whose distances are computed at once: as many as most processors' vectors hold.
+const LANES: usize = 8;
+/// More levels of inner nodes than the largest tree has.
+const DEEPEST: usize = 32;
 
 /// The key of no point: above all others.
-const NOTHING: u64 = u64::MAX;
+const NOTHING: u64 = i64::MAX as u64;
 
 /// A point found near a query.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -51,7 +57,8 @@ pub struct Walk {
 pub struct KdTree {
     /// Original index of the point at each place.
     order: Vec<u32>,
-    /// Coordinates in leaf order, one array an axis, so that a leaf's distances vectorise.
+    /// Coordinates in leaf order, one array an axis, so that a leaf's distances vectorise; then so many zeros that whole
+    /// vectors can be read from any point on.
     axes: [Vec<f32>; 3],
     /// Inner nodes of a complete binary tree from left to right, so that a subtree's are together.
     /// The range of a node is halved exactly, so ranges need not be stored.
@@ -86,9 +93,10 @@ impl KdTree {
         let mut splits = vec![Split::default(); (1 << depth) - 1];
         build(&mut items, depth, &mut splits);
         let (lo, hi) = bounds(points.iter().copied());
+        let axis = |a: usize| items.iter().map(|(p, _)| p[a]).chain([0.0; LANES]).collect();
         Self {
             order: items.iter().map(|&(_, i)| i).collect(),
-            axes: std::array::from_fn(|a| items.iter().map(|(p, _)| p[a]).collect()),
+            axes: std::array::from_fn(axis),
             splits,
             depth,
             lo,
@@ -168,28 +176,39 @@ impl KdTree {
         if k == 0 {
             return;
         }
-        if k <= SORTED_MAX {
-            let mut best = Sorted { keys: [limit; SORTED_MAX], k };
-            self.search(query, &mut best);
-            out.extend(best.keys[..k].iter().map(|&key| neighbour(key)));
-        } else {
-            let mut best = Pool { keys: Vec::with_capacity(2 * k), k, worst: limit };
-            self.search(query, &mut best);
-            best.shrink();
-            best.keys.sort_unstable();
-            out.extend(best.keys.iter().map(|&key| neighbour(key)));
+        match k {
+            1 => self.sorted_below::<1>(query, k, limit, out),
+            2..=8 => self.sorted_below::<8>(query, k, limit, out),
+            9..=16 => self.sorted_below::<16>(query, k, limit, out),
+            17..=24 => self.sorted_below::<24>(query, k, limit, out),
+            25..=32 => self.sorted_below::<32>(query, k, limit, out),
+            33..=SORTED_MAX => self.sorted_below::<SORTED_MAX>(query, k, limit, out),
+            _ => {
+                let mut best = Pool { keys: Vec::with_capacity(2 * k), k, worst: limit };
+                self.search(query, &mut best);
+                best.shrink();
+                best.keys.sort_unstable();
+                out.extend(best.keys.iter().map(|&key| neighbour(key)));
+            }
         }
+    }
+
+    /// The same where `k` is `M` at most.
+    fn sorted_below<const M: usize>(&self, query: Point, k: usize, limit: u64, out: &mut Vec<Neighbour>) {
+        let mut best = Sorted::<M>::new(k, limit);
+        self.search(query, &mut best);
+        out.extend(best.keys[M - k..].iter().map(|&key| neighbour(key as u64)));
     }
 
     /// The nearest point, ties by index; `None` for an empty tree.
     #[must_use]
     pub fn nearest_one(&self, query: Point) -> Option<Neighbour> {
-        let mut best = Sorted { keys: [u64::MAX; 1], k: 1 };
+        let mut best = Sorted::<1>::new(1, NOTHING);
         if self.is_empty() {
             return None;
         }
         self.search(query, &mut best);
-        Some(neighbour(best.keys[0]))
+        Some(neighbour(best.keys[0] as u64))
     }
 
     /// The nearest of the points whose indices are `accepted`, no further than `reach`; ties by index. Looks at all
@@ -218,53 +237,93 @@ impl KdTree {
     }
 
     fn search(&self, query: Point, best: &mut impl Best) {
-        let offset = std::array::from_fn(|a| (self.lo[a] - query[a]).max(query[a] - self.hi[a]).max(0.0));
-        self.descend(query, Place { first: 0, start: 0, end: self.len(), height: self.depth }, offset, best);
+        // Compiled for the processor's own vectors: distances are most of the time.
+        Arch::new().dispatch(Search { tree: self, query, best });
     }
+}
 
+/// A search on its way.
+struct Search<'a, B> {
+    tree: &'a KdTree,
+    query: Point,
+    best: &'a mut B,
+}
+
+impl<B: Best> WithSimd for Search<'_, B> {
+    type Output = ();
+
+    /// Without recursion, which would end what is compiled for the processor.
+    #[inline(always)]
+    fn with_simd<S: Simd>(mut self, _: S) {
+        let KdTree { lo, hi, depth, .. } = self.tree;
+        let offset = |a: usize| (lo[a] - self.query[a]).max(self.query[a] - hi[a]).max(0.0);
+        let all = Place { first: 0, start: 0, end: self.tree.len() as u32, height: *depth };
+        // What lies on the other side of the splits on the way down, with its offset.
+        let mut aside = [(all, std::array::from_fn(offset)); DEEPEST];
+        let mut count = 1;
+        while count > 0 {
+            count -= 1;
+            let (mut place, offset) = aside[count % DEEPEST];
+            if squared(offset) > self.best.worst() {
+                continue;
+            }
+            while place.height > 0 {
+                let far;
+                (place, far) = self.parted(place, offset);
+                aside[count % DEEPEST] = far;
+                count += 1;
+            }
+            self.scan(place.start as usize, place.end as usize);
+        }
+    }
+}
+
+impl<B: Best> Search<'_, B> {
+    /// A node's child on the query's side, which is no further off, and the other one with its offset.
+    ///
     /// `offset` is how far the node's cell is from the query on each axis. Its squared length is
     /// computed with the expression of the distances; rounding is monotone, so it never exceeds
     /// the computed distance of a point inside, and nothing is lost by comparing the two.
-    fn descend(&self, query: Point, place: Place, offset: Point, best: &mut impl Best) {
-        let Place { first, start, end, height } = place;
-        if height == 0 {
-            return self.scan(query, start, end, best);
-        }
+    #[inline(always)]
+    fn parted(&self, Place { first, start, end, height }: Place, offset: Point) -> (Place, (Place, Point)) {
         let middle = start.midpoint(end);
         let node = first + (1 << (height - 1)) - 1;
         let left = Place { first, start, end: middle, height: height - 1 };
         let right = Place { first: node + 1, start: middle, end, height: height - 1 };
-        let Split { axis, value } = self.splits[node];
-        let beyond = query[axis as usize] - value;
-        let (near, far) = if beyond <= 0.0 { (left, right) } else { (right, left) };
-        self.descend(query, near, offset, best);
-        let mut offset = offset;
-        offset[axis as usize] = offset[axis as usize].max(beyond.abs());
-        if squared(offset) <= best.worst() {
-            self.descend(query, far, offset, best);
-        }
+        let Split { axis, value } = self.tree.splits[node as usize];
+        let [x, y, z] = self.query;
+        let beyond = [x, y, z][axis as usize % 3] - value;
+        // Not by index: what is read as a whole right after a part of it was written waits for that.
+        let further = |a: usize| if a as u32 == axis { offset[a].max(beyond.abs()) } else { offset[a] };
+        let offset = std::array::from_fn(further);
+        if beyond <= 0.0 { (left, (right, offset)) } else { (right, (left, offset)) }
     }
 
-    fn scan(&self, query: Point, start: usize, end: usize, best: &mut impl Best) {
-        let [xs, ys, zs] = self.axes.each_ref().map(|axis| &axis[start..end]);
-        let mut distances = [0.0_f32; LEAF];
-        // All distances first: this loop vectorises, the next ones cannot.
-        for (((d, x), y), z) in distances.iter_mut().zip(xs).zip(ys).zip(zs) {
-            *d = squared([x - query[0], y - query[1], z - query[2]]);
-        }
+    #[inline(always)]
+    fn scan(&mut self, start: usize, end: usize) {
+        let [qx, qy, qz] = self.query;
+        let mut distances = [[0.0_f32; LANES]; LEAF / LANES];
         // Most points are too far, which no branch predictor can foresee: pick the others without
         // a branch.
-        let worst = best.worst();
+        let worst = self.best.worst();
         let mut near = 0_u32;
-        for (place, &d) in distances.iter().enumerate() {
-            near |= u32::from(d <= worst) << place;
+        for (group, distances) in distances.iter_mut().enumerate().take((end - start).div_ceil(LANES)) {
+            let from = start + group * LANES;
+            let [xs, ys, zs] = self.tree.axes.each_ref().map(|axis| &axis[from..from + LANES]);
+            for lane in 0..LANES {
+                distances[lane] = squared([xs[lane] - qx, ys[lane] - qy, zs[lane] - qz]);
+            }
+            for (lane, &d) in distances.iter().enumerate() {
+                near |= u32::from(d <= worst) << (group * LANES + lane);
+            }
         }
         near &= u32::MAX >> (LEAF - (end - start));
         while near != 0 {
             let place = near.trailing_zeros() as usize % LEAF;
             near &= near - 1;
-            let index = self.order[start + place];
-            best.offer(u64::from(distances[place].to_bits()) << 32 | u64::from(index));
+            let index = self.tree.order[start + place];
+            let distance = distances[place / LANES][place % LANES];
+            self.best.offer(u64::from(distance.to_bits()) << 32 | u64::from(index));
         }
     }
 }
@@ -272,9 +331,9 @@ impl KdTree {
 /// A subtree: its first inner node, its points, and its levels of inner nodes.
 #[derive(Clone, Copy)]
 struct Place {
-    first: usize,
-    start: usize,
-    end: usize,
+    first: u32,
+    start: u32,
+    end: u32,
     height: u32,
 }
 
@@ -287,28 +346,41 @@ trait Best {
     fn worst(&self) -> f32;
 }
 
-/// Keeps `k <= M` keys sorted.
+/// Keeps `k <= M` keys sorted, at the end of `keys`; before them are such as are below all others.
 struct Sorted<const M: usize> {
-    keys: [u64; M],
-    k: usize,
+    keys: [i64; M],
+}
+
+impl<const M: usize> Sorted<M> {
+    fn new(k: usize, limit: u64) -> Self {
+        let limit = limit.min(i64::MAX as u64) as i64;
+        Self { keys: std::array::from_fn(|i| if i + k < M { i64::MIN } else { limit }) }
+    }
 }
 
 impl<const M: usize> Best for Sorted<M> {
+    /// All places alike, in vectors: which one a key goes to cannot be foreseen.
+    #[inline(always)]
     fn offer(&mut self, key: u64) {
-        let keys = &mut self.keys[..self.k];
-        let mut at = keys.len() - 1;
-        if key >= keys[at] {
+        let key = key as i64;
+        if key >= self.keys[M - 1] {
             return;
         }
-        while at > 0 && keys[at - 1] > key {
-            keys[at] = keys[at - 1];
-            at -= 1;
+        let (fours, rest) = self.keys.as_chunks_mut::<4>();
+        let mut last = i64::MIN;
+        for keys in fours {
+            let [a, b, c, d] = *keys;
+            *keys = [a.min(key).max(last), b.min(key).max(a), c.min(key).max(b), d.min(key).max(c)];
+            last = d;
         }
-        keys[at] = key;
+        for place in rest {
+            (*place, last) = ((*place).min(key).max(last), *place);
+        }
     }
 
+    #[inline(always)]
     fn worst(&self) -> f32 {
-        distance(self.keys[self.k - 1])
+        distance(self.keys[M - 1] as u64)
     }
 }
 
@@ -319,12 +391,14 @@ struct That<F> {
 }
 
 impl<F: Fn(u32) -> bool> Best for That<F> {
+    #[inline(always)]
     fn offer(&mut self, key: u64) {
         if key < self.key && (self.accepted)(key as u32) {
             self.key = key;
         }
     }
 
+    #[inline(always)]
     fn worst(&self) -> f32 {
         distance(self.key)
     }
@@ -349,6 +423,7 @@ impl Pool {
 }
 
 impl Best for Pool {
+    #[inline(always)]
     fn offer(&mut self, key: u64) {
         if key < self.worst {
             self.keys.push(key);
@@ -358,6 +433,7 @@ impl Best for Pool {
         }
     }
 
+    #[inline(always)]
     fn worst(&self) -> f32 {
         distance(self.worst)
     }
@@ -367,12 +443,14 @@ fn neighbour(key: u64) -> Neighbour {
     Neighbour { index: key as u32, distance_squared: f32::from_bits((key >> 32) as u32) }
 }
 
+#[inline(always)]
 fn distance(key: u64) -> f32 {
     // No key yet: everything is welcome.
     if key == NOTHING { f32::INFINITY } else { f32::from_bits((key >> 32) as u32) }
 }
 
 /// The one expression for squared lengths in this module: results must agree to the last bit.
+#[inline(always)]
 pub(super) fn squared([x, y, z]: Point) -> f32 {
     x * x + y * y + z * z
 }
