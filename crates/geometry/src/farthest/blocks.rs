@@ -11,7 +11,8 @@
 
 use rayon::prelude::*;
 
-use super::{First, Item, Key, Node, Tree, Weights};
+use super::tree::{Child, Tree};
+use super::{First, Item, Key, Weights};
 use crate::kdtree::squared;
 use crate::limit::indices;
 use densecloud_cloud::Point;
@@ -72,7 +73,7 @@ pub(super) fn sample(
             colours = blocks.meet(adjacent_for);
         }
         for colour in &colours {
-            later.extend(blocks.turn(colour, top.distance(), points, weights));
+            later.extend(blocks.turn(colour, top.distance()));
         }
     }
     let missing = count - chosen.len();
@@ -109,7 +110,7 @@ struct Blocks {
 impl Blocks {
     /// The point farthest from all chosen ones.
     fn top(&self) -> Key {
-        self.trees.iter().flatten().map(|tree| tree.nodes[0].key).max().unwrap_or(Key::NONE)
+        self.trees.iter().flatten().map(|tree| tree.all.key).max().unwrap_or(Key::NONE)
     }
 
     /// Tells every block of these choices.
@@ -122,8 +123,8 @@ impl Blocks {
     /// Finds which blocks are nearer to each other than the root of `radius_squared`, and gives each a
     /// colour that none beside it has: the blocks of each colour.
     fn meet(&mut self, radius_squared: f32) -> Vec<Vec<usize>> {
-        let boxes: Vec<Node> = self.trees.iter().flatten().map(|tree| tree.nodes[0]).collect();
-        let near = |here: &Node, other: &Node| {
+        let boxes: Vec<Child> = self.trees.iter().flatten().map(|tree| tree.all).collect();
+        let near = |here: &Child, other: &Child| {
             let gap = |a: usize| (here.lo[a] - other.hi[a]).max(other.lo[a] - here.hi[a]).max(0.0);
             squared(std::array::from_fn(gap)) * here.lightest.min(other.lightest) <= radius_squared
         };
@@ -145,26 +146,26 @@ impl Blocks {
 
     /// The turn of `blocks`, none beside another: each chooses until its squared radius has fallen from
     /// the largest one, `top`, or it has a rival. Returns the choices.
-    fn turn(&mut self, blocks: &[usize], top: f32, points: &[Point], weights: Weights<'_>) -> Vec<Key> {
+    fn turn(&mut self, blocks: &[usize], top: f32) -> Vec<Key> {
         let mut active: Vec<(usize, Tree)> =
             blocks.iter().filter_map(|&b| Some((b, self.trees[b].take()?))).collect();
-        let choices: Vec<Vec<Key>> = active
+        let choices: Vec<Vec<(Point, Key)>> = active
             .par_iter_mut()
             .map(|(block, tree)| {
                 let rivals = || self.beside[*block].iter().filter_map(|&b| self.trees[b].as_ref());
                 let mut choices = Vec::new();
                 loop {
-                    let key = tree.nodes[0].key;
+                    let key = tree.all.key;
                     let radius = key.distance();
                     // Negative: all are chosen. (The largest one goes on even where the product is rounded up to it.)
                     if radius < 0.0 || radius <= TURN * top && radius < top {
                         return choices;
                     }
-                    let (at, weight) = (points[key.index() as usize], weights.at(key.index()));
+                    let (at, weight) = tree.farthest();
                     if rivals().any(|rival| rival.has_rival_of(at, weight, key)) {
                         return choices;
                     }
-                    choices.push(key);
+                    choices.push((at, key));
                     tree.choose(at, key.index());
                 }
             })
@@ -172,47 +173,13 @@ impl Blocks {
         let mut fresh: Vec<Vec<Item>> = vec![Vec::new(); self.trees.len()];
         for ((block, tree), choices) in active.into_iter().zip(&choices) {
             self.trees[block] = Some(tree);
-            for key in choices {
-                fresh[block].push((points[key.index() as usize], key.index()));
-            }
+            fresh[block].extend(choices.iter().map(|(at, key)| (*at, key.index())));
         }
         self.trees.par_iter_mut().zip(&self.beside).for_each(|(tree, beside)| {
             if let Some(tree) = tree {
                 beside.iter().for_each(|&b| tree.take_note(&fresh[b]));
             }
         });
-        choices.concat()
-    }
-}
-
-impl Tree {
-    fn take_note(&mut self, chosen: &[Item]) {
-        for &(at, index) in chosen {
-            if self.nodes[0].is_reached_from(at) {
-                self.choose(at, index);
-            }
-        }
-    }
-
-    /// Whether a point comes before that of `key`, which has that `weight`, and one of the two is within the other's
-    /// radius: choosing the one changes what the other has.
-    fn has_rival_of(&self, at: Point, weight: f32, key: Key) -> bool {
-        self.rival(0, 0, self.buckets.len(), (at, weight), key)
-    }
-
-    fn rival(&self, node: usize, start: usize, end: usize, (at, weight): (Point, f32), key: Key) -> bool {
-        let here = &self.nodes[node];
-        let offset = std::array::from_fn(|a| (here.lo[a] - at[a]).max(at[a] - here.hi[a]).max(0.0));
-        let square = squared(offset);
-        let is_beyond = square * here.lightest >= here.key.distance() && square * weight >= key.distance();
-        if here.key < key || is_beyond {
-            return false;
-        }
-        if end - start == 1 {
-            return self.buckets[start].rival(at, weight, key);
-        }
-        let middle = start + (end - start) / 2;
-        self.rival(2 * node + 1, start, middle, (at, weight), key)
-            || self.rival(2 * node + 2, middle, end, (at, weight), key)
+        choices.into_iter().flatten().map(|(_, key)| key).collect()
     }
 }

@@ -1,20 +1,18 @@
 //! Farthest point sampling with a spatial index.
 
+mod beside;
 mod blocks;
+mod tree;
 
-use super::kdtree::{bounds, squared};
+use super::kdtree::bounds;
 use super::limit::indices;
 use densecloud_cloud::Point;
+use tree::Tree;
 
-/// Points in a bucket. All buckets are full but the last, and a bucket is one block of memory, so
-/// that its update is straight-line vector code.
-const BUCKET: usize = 16;
 /// Points in a block at most: what a core's cache holds.
 const BLOCK: usize = 1 << 13;
 /// From this many points on blocks are faster on two threads.
 const BLOCKS_FROM: usize = 1 << 17;
-/// The distance of a point that has been chosen: below every real one.
-const CHOSEN: f32 = -1.0;
 /// The index of what is none of the points.
 const NONE: u32 = u32::MAX;
 
@@ -157,7 +155,7 @@ fn in_turn(points: &[Point], weights: Weights<'_>, count: usize, first: First<'_
         Tree::over(&mut points.iter().copied().zip(0..).collect::<Vec<_>>(), weights, first.beside());
     let mut next = match first {
         First::Point(first) => first,
-        First::Beside(_) => tree.nodes[0].key.index(),
+        First::Beside(_) => tree.all.key.index(),
     };
     loop {
         chosen.push(next);
@@ -165,30 +163,12 @@ fn in_turn(points: &[Point], weights: Weights<'_>, count: usize, first: First<'_
             return chosen;
         }
         tree.choose(points[next as usize], next);
-        next = tree.nodes[0].key.index();
+        next = tree.all.key.index();
     }
 }
 
 /// A point and its index.
 type Item = (Point, u32);
-
-/// A complete description of where every point stands: its bucket's block holds the squared
-/// distance to the nearest chosen point.
-struct Tree {
-    /// The children of node `i` are `2 i + 1` and `2 i + 2`; a node over one bucket is a leaf.
-    nodes: Vec<Node>,
-    buckets: Vec<Bucket>,
-}
-
-#[derive(Clone, Copy)]
-struct Node {
-    lo: Point,
-    hi: Point,
-    /// The farthest point below this node.
-    key: Key,
-    /// The least weight below this node.
-    lightest: f32,
-}
 
 /// A squared distance (of a point that is not chosen, so not negative) above an index, ordered by
 /// distance and then by lower index, in one integer.
@@ -200,7 +180,7 @@ impl Key {
     const NONE: Self = Self(i64::MIN);
 
     fn new(distance: f32, index: u32) -> Self {
-        // The sign of CHOSEN survives, so its key is below all others, too.
+        // The sign of a point that is chosen survives, so its key is below all others, too.
         Self(i64::from(distance.to_bits() as i32) << 32 | i64::from(!index))
     }
 
@@ -211,141 +191,6 @@ impl Key {
     fn index(self) -> u32 {
         !(self.0 as u32)
     }
-}
-
-/// Up to 16 points, ascending by index; unused places count as chosen.
-#[derive(Clone)]
-struct Bucket {
-    x: [f32; BUCKET],
-    y: [f32; BUCKET],
-    z: [f32; BUCKET],
-    /// What a squared distance to the point counts.
-    weight: [f32; BUCKET],
-    /// Weighted squared distance to the nearest chosen point.
-    distance: [f32; BUCKET],
-    index: [u32; BUCKET],
-}
-
-impl Bucket {
-    /// Takes a chosen point into account; returns the farthest point now.
-    fn update(&mut self, q: Point, chosen: u32) -> Key {
-        for i in 0..BUCKET {
-            let d = squared([self.x[i] - q[0], self.y[i] - q[1], self.z[i] - q[2]]) * self.weight[i];
-            let d = if self.index[i] == chosen { CHOSEN } else { d };
-            self.distance[i] = if d < self.distance[i] { d } else { self.distance[i] };
-        }
-        self.farthest()
-    }
-
-    /// Whether a point comes before that of `key`, which has that `weight`, and one of the two is within the other's
-    /// radius.
-    fn rival(&self, at: Point, weight: f32, key: Key) -> bool {
-        // All distances first: this loop vectorises, the next one cannot and seldom has anything to do.
-        let within: [bool; BUCKET] = std::array::from_fn(|i| {
-            let d = squared([self.x[i] - at[0], self.y[i] - at[1], self.z[i] - at[2]]);
-            (d * self.weight[i] < self.distance[i]) | (d * weight < key.distance())
-        });
-        (0..BUCKET).any(|i| within[i] && Key::new(self.distance[i], self.index[i]) > key)
-    }
-
-    fn farthest(&self) -> Key {
-        // Four maxima at once, then one: a chain of 16 comparisons is the slowest way.
-        let mut best: [f32; 4] = std::array::from_fn(|i| self.distance[i]);
-        for chunk in self.distance[4..].chunks_exact(4) {
-            for (b, &d) in best.iter_mut().zip(chunk) {
-                *b = if d > *b { d } else { *b };
-            }
-        }
-        let best = best.into_iter().fold(CHOSEN, f32::max);
-        let place = self.distance.iter().position(|&d| d == best).unwrap_or(0);
-        Key::new(best, self.index[place])
-    }
-}
-
-impl Tree {
-    /// Of points none of which is chosen, and others `beside` them that are.
-    fn over(items: &mut [Item], weights: Weights<'_>, beside: &[Point]) -> Self {
-        let buckets = items.len().div_ceil(BUCKET);
-        let empty = Node {
-            lo: [f32::INFINITY; 3],
-            hi: [f32::NEG_INFINITY; 3],
-            key: Key::NONE,
-            lightest: f32::INFINITY,
-        };
-        let mut tree = Self {
-            nodes: vec![empty; 2 * buckets.next_power_of_two() - 1],
-            buckets: Vec::with_capacity(buckets),
-        };
-        tree.build(0, items, weights, beside);
-        tree
-    }
-
-    /// Buckets are made left to right, so a node's buckets follow from its place alone.
-    fn build(&mut self, node: usize, items: &mut [Item], weights: Weights<'_>, beside: &[Point]) {
-        let (lo, hi) = bounds(items.iter().map(|(p, _)| *p));
-        let beside = near_box(lo, hi, beside);
-        let buckets = items.len().div_ceil(BUCKET);
-        if buckets <= 1 {
-            // In a bucket the first of equal distances is the one of the lowest index.
-            items.sort_unstable_by_key(|&(_, i)| i);
-            let mut bucket = bucket(items, weights);
-            for q in &beside {
-                bucket.update(*q, NONE);
-            }
-            let lightest = items.iter().map(|&(_, i)| weights.at(i)).fold(f32::INFINITY, f32::min);
-            self.nodes[node] = Node { lo, hi, key: bucket.farthest(), lightest };
-            self.buckets.push(bucket);
-            return;
-        }
-        let (left, right) = halves(items, buckets / 2 * BUCKET, |&item| item);
-        self.build(2 * node + 1, left, weights, &beside);
-        self.build(2 * node + 2, right, weights, &beside);
-        let (left, right) = (&self.nodes[2 * node + 1], &self.nodes[2 * node + 2]);
-        let (key, lightest) = (left.key.max(right.key), left.lightest.min(right.lightest));
-        self.nodes[node] = Node { lo, hi, key, lightest };
-    }
-
-    fn choose(&mut self, q: Point, index: u32) {
-        let buckets = self.buckets.len();
-        self.descend(0, 0, buckets, q, index);
-    }
-
-    /// Updates the buckets `start..end` of `node`, where that can change anything.
-    fn descend(&mut self, node: usize, start: usize, end: usize, q: Point, index: u32) {
-        if end - start == 1 {
-            self.nodes[node].key = self.buckets[start].update(q, index);
-            return;
-        }
-        let middle = start + (end - start) / 2;
-        let (left, right) = (2 * node + 1, 2 * node + 2);
-        if self.nodes[left].is_reached_from(q) {
-            self.descend(left, start, middle, q, index);
-        }
-        if self.nodes[right].is_reached_from(q) {
-            self.descend(right, middle, end, q, index);
-        }
-        self.nodes[node].key = self.nodes[left].key.max(self.nodes[right].key);
-    }
-}
-
-impl Node {
-    /// Whether `q` may be nearer to some point here than what was chosen before. The distance to
-    /// the box is computed as that to a point is; rounding is monotone, so it is never above the
-    /// computed distance of a point inside. Equality matters where it marks `q` itself as chosen.
-    fn is_reached_from(&self, q: Point) -> bool {
-        let offset = std::array::from_fn(|a| (self.lo[a] - q[a]).max(q[a] - self.hi[a]).max(0.0));
-        squared(offset) * self.lightest <= self.key.distance()
-    }
-}
-
-/// Those of some points that may be nearest to anything in a box. Distances are computed as those to a point inside are, of
-/// which they are bounds, since rounding is monotone.
-fn near_box(lo: Point, hi: Point, points: &[Point]) -> Vec<Point> {
-    let farthest =
-        |q: &Point| squared(std::array::from_fn(|a| (q[a] - lo[a]).abs().max((hi[a] - q[a]).abs())));
-    let nearest = |q: &Point| squared(std::array::from_fn(|a| (lo[a] - q[a]).max(q[a] - hi[a]).max(0.0)));
-    let reach = points.iter().map(farthest).fold(f32::INFINITY, f32::min);
-    points.iter().filter(|q| nearest(q) <= reach).copied().collect()
 }
 
 /// The first `middle` points along the longest side of their box, and the others; ties by index make
@@ -361,26 +206,10 @@ fn halves<T>(items: &mut [T], middle: usize, item: impl Fn(&T) -> Item) -> (&mut
     items.split_at_mut(middle)
 }
 
-fn bucket(items: &[Item], weights: Weights<'_>) -> Bucket {
-    let mut bucket = Bucket {
-        x: [0.0; BUCKET],
-        y: [0.0; BUCKET],
-        z: [0.0; BUCKET],
-        weight: [0.0; BUCKET],
-        distance: [CHOSEN; BUCKET],
-        index: [NONE; BUCKET],
-    };
-    for (place, &([x, y, z], index)) in items.iter().enumerate() {
-        (bucket.x[place], bucket.y[place], bucket.z[place]) = (x, y, z);
-        bucket.weight[place] = weights.at(index);
-        (bucket.distance[place], bucket.index[place]) = (f32::INFINITY, index);
-    }
-    bucket
-}
-
 #[cfg(test)]
 mod tests {
     use super::super::Rng;
+    use super::super::kdtree::squared;
     use super::*;
     use proptest::prelude::*;
 
