@@ -68,6 +68,11 @@ pub enum Trouble {
     Full,
     /// Another program kept it for itself for longer than a statement waits.
     Busy,
+    /// It cannot be reached, or has not answered in time. What was asked for has not happened.
+    Away,
+    /// As [`Trouble::Away`], and it is not known whether what was asked for has happened: the connection was lost after
+    /// the database was told to keep it, and before it said that it did.
+    Unsure,
     /// Something else.
     Other,
 }
@@ -90,5 +95,17 @@ impl StoreError {
     #[must_use]
     pub fn is_busy(&self) -> bool {
         matches!(self, Self::Database { trouble: Trouble::Busy, .. })
+    }
+
+    /// Whether the database cannot be reached, or has not answered in time.
+    #[must_use]
+    pub fn is_away(&self) -> bool {
+        matches!(self, Self::Database { trouble: Trouble::Away | Trouble::Unsure, .. })
+    }
+
+    /// Whether it is not known if what was asked for has happened.
+    #[must_use]
+    pub fn is_unsure(&self) -> bool {
+        matches!(self, Self::Database { trouble: Trouble::Unsure, .. })
     }
 }

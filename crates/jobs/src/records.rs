@@ -1,5 +1,7 @@
 //! Records of jobs, wherever they are kept, and leases on the jobs that run.
 
+use std::sync::Arc;
+
 use crate::error::StoreError;
 use crate::record::{Draft, Failure, Record, ResultFile, State, Time};
 
@@ -188,11 +190,30 @@ pub trait Records: Send + Sync {
         Ok(Vec::new())
     }
 
+    /// Has `wake` called whenever somebody changes something, this process or another, on a thread that may wait. Nobody
+    /// may rely on it: what happens while the database cannot be reached is not told, but that something may have.
+    fn listen(&self, wake: Arc<dyn Fn(Change) + Send + Sync>) {
+        // Where one process has the records for itself, it knows what it does.
+        drop(wake);
+    }
+
     /// What blobs there should be.
     ///
     /// # Errors
     /// What the database says.
     fn promised(&self) -> Result<Vec<Promised>, StoreError>;
+}
+
+/// What somebody changed.
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
+#[non_exhaustive]
+pub enum Change {
+    /// A step waits to be claimed.
+    Waits,
+    /// The job of this name is over, or waits anew: whoever works at it should look at its lease.
+    Over(String),
+    /// Something else, of any job.
+    Other,
 }
 
 /// Blobs that there should be of a job.

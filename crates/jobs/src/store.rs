@@ -79,7 +79,16 @@ impl Store {
     /// [`StoreError::Locked`], [`StoreError::Version`], or what the disk says.
     pub fn open(folder: &Path, bounds: Bounds, now: Time) -> Result<Self, StoreError> {
         let files = Folder::open(folder.join("files"))?;
-        let store = Self::new(Arc::new(Sqlite::open(folder, bounds)?), Arc::new(files));
+        Self::alone(Arc::new(Sqlite::open(folder, bounds)?), Arc::new(files), now)
+    }
+
+    /// Over records and blobs that are this program's alone.
+    pub(crate) fn alone(
+        records: Arc<dyn Records>,
+        blobs: Arc<dyn Blobs>,
+        now: Time,
+    ) -> Result<Self, StoreError> {
+        let store = Self::new(records, blobs);
         // Whoever had a lease has ended.
         store.lapse(Time::MAX, now)?;
         store.clean()?;
@@ -159,9 +168,12 @@ impl Store {
     /// Keeps a job whose cloud is there: when this returns it is on durable storage.
     ///
     /// # Errors
-    /// As [`Store::admit`], since another may have been quicker; nothing is left then.
+    /// As [`Store::admit`], since another may have been quicker; nothing is left then, unless [`StoreError::is_unsure`].
     pub fn insert(&self, draft: &Draft, mut input: Input, now: Time) -> Result<Submitted, StoreError> {
-        let submitted = self.records.insert(&input.id, draft, now)?;
+        let submitted = self.records.insert(&input.id, draft, now);
+        // The record may be there, and promises it then.
+        input.kept = submitted.as_ref().is_err_and(StoreError::is_unsure);
+        let submitted = submitted?;
         input.kept = matches!(submitted, Submitted::New(_));
         Ok(submitted)
     }

@@ -1,6 +1,6 @@
 //! Records as rows of an SQLite database, for one program at a time.
 
-pub(crate) mod rows;
+mod rows;
 mod schema;
 mod steps;
 
@@ -10,14 +10,13 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use rusqlite::{Connection, Params, Row, params};
 
+use crate::columns::{failure_text, integer, natural, result_text};
 use crate::error::StoreError;
 use crate::record::{Draft, Failure, Record, ResultFile, State, Time};
 use crate::records::{
     Admitted, Bounds, Forgotten, Lapsed, Lease, Load, Promised, Records, Step, Submitted, Waiting,
 };
-use rows::{
-    change, collect, failed, failure_text, find, integer, load, natural, one, result_text, select, used,
-};
+use rows::{change, collect, failed, find, load, one, select, used};
 use steps::{
     BY_TILE, FAILED, FREE, HELD, TILE_HELD, TILE_ROW, held, lapse, next, next_turn, put_back, start,
     start_tile,

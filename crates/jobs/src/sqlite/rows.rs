@@ -1,10 +1,10 @@
 //! Rows of the database as values, and back.
 
 use rusqlite::{Connection, ErrorCode, Params, Row};
-use serde::{Deserialize, Serialize};
 
+use crate::columns::{self, natural};
 use crate::error::{StoreError, Trouble};
-use crate::record::{Failure, Record, ResultFile, State, Tiles, Time};
+use crate::record::{Record, State, Tiles, Time};
 use crate::records::{Lease, Load, Step};
 
 pub(super) const COLUMNS: &str = "number, id, state, request, owner, client, request_id, points_in, points_out, \
@@ -19,14 +19,6 @@ pub(super) fn failed(error: rusqlite::Error) -> StoreError {
         _ => Trouble::Other,
     };
     StoreError::Database { trouble, source: error.into() }
-}
-
-/// A result as its column has it; its blob's name has a column of its own.
-#[derive(Serialize, Deserialize)]
-struct Made {
-    bytes: u64,
-    sha256: String,
-    about: String,
 }
 
 pub(super) fn used(database: &Connection) -> Result<u64, StoreError> {
@@ -89,7 +81,6 @@ pub(super) fn change(database: &Connection, sql: &str, values: impl Params) -> R
 fn record(row: &Row<'_>) -> rusqlite::Result<Record> {
     let state: String = row.get(2)?;
     let text = |column: usize| row.get::<_, Option<String>>(column);
-    let made = text(14)?.and_then(|text| serde_json::from_str(&text).ok());
     Ok(Record {
         number: row.get(0)?,
         id: row.get(1)?,
@@ -107,13 +98,8 @@ fn record(row: &Row<'_>) -> rusqlite::Result<Record> {
         started: row.get(12)?,
         finished: row.get(13)?,
         tiles: tiles(row)?,
-        result: made.zip(text(16)?).map(|(Made { bytes, sha256, about }, blob)| ResultFile {
-            blob,
-            bytes,
-            sha256,
-            about,
-        }),
-        failure: text(15)?.and_then(|text| serde_json::from_str(&text).ok()),
+        result: columns::result(text(14)?, text(16)?),
+        failure: columns::failure(text(15)?),
     })
 }
 
@@ -128,29 +114,4 @@ fn tiles(row: &Row<'_>) -> rusqlite::Result<Option<Tiles>> {
 pub(super) fn lease(row: &Row<'_>, step: Step, worker: &str, until: Time) -> rusqlite::Result<Lease> {
     let attempt = row.get(21).map(natural)?;
     Ok(Lease { record: record(row)?, step, attempt, worker: worker.to_owned(), until })
-}
-
-/// A result as its column has it.
-pub(crate) fn result_text(result: &ResultFile) -> String {
-    let ResultFile { bytes, sha256, about, .. } = result.clone();
-    json(&Made { bytes, sha256, about })
-}
-
-/// A failure as its column has it.
-pub(crate) fn failure_text(failure: &Failure) -> String {
-    json(failure)
-}
-
-/// Strings and numbers only: there is nothing that JSON could not hold.
-fn json(value: &impl Serialize) -> String {
-    serde_json::to_string(value).unwrap_or_default()
-}
-
-/// SQLite has signed numbers alone.
-pub(super) fn integer(number: u64) -> i64 {
-    number.try_into().unwrap_or(i64::MAX)
-}
-
-pub(super) fn natural(number: i64) -> u64 {
-    number.try_into().unwrap_or(0)
 }

@@ -2,7 +2,8 @@
 
 use rusqlite::{Connection, Row, params};
 
-use super::rows::{self, COLUMNS, change, collect, failure_text, integer};
+use super::rows::{self, COLUMNS, change, collect};
+use crate::columns::{failure_text, integer};
 use crate::error::StoreError;
 use crate::record::{Failure, State, Time};
 use crate::records::{Lapsed, Lease, Step};

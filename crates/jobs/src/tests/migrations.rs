@@ -8,7 +8,7 @@ use super::*;
 fn databases_of_before_are_brought_up_to_date() {
     for version in [1, 2, 3, 4] {
         let dir = tempfile::tempdir().expect("a folder");
-        let store = open(dir.path(), 0);
+        let store = Store::open(dir.path(), BOUNDS, 0).expect("a store");
         let long = NewJob { request: "a".repeat(500), ..job("a", Some("key"), b"abc") };
         let (queued, done) = (submit(&store, &long, 0), submit(&store, &job("b", None, b"x"), 0));
         let last = submit(&store, &job("c", None, b"x"), 0);
@@ -56,7 +56,7 @@ fn databases_of_before_are_brought_up_to_date() {
             database.execute_batch(step).unwrap_or_else(|error| panic!("version {version}: {error}"));
         }
         drop(database);
-        let store = open(dir.path(), 1);
+        let store = Store::open(dir.path(), BOUNDS, 1).expect("a store");
         assert_eq!(store.used().expect("a sum"), used, "with its rows");
         let known = try_submit(&store, &long, 2);
         assert!(matches!(known, Ok(Submitted::Known(_))), "{known:?}");
@@ -70,7 +70,7 @@ fn databases_of_before_are_brought_up_to_date() {
         assert_eq!(ids.collect::<Vec<_>>(), [last, done, queued]);
         assert_eq!(store.list(None, 10, Some("a")).expect("a list").len(), 0, "nobody's");
         drop(store);
-        drop(open(dir.path(), 4));
+        drop(Store::open(dir.path(), BOUNDS, 4).expect("a store"));
     }
 }
 
@@ -136,7 +136,7 @@ fn a_folder_of_version_3_is_gone_on_with() {
     database.execute_batch(OF_3).expect("the database of then");
     drop(database);
 
-    let store = open(dir.path(), 100);
+    let store = Store::open(dir.path(), BOUNDS, 100).expect("a store");
     assert_eq!(files(dir.path()), ["d.out", "q.in", "r.in"]);
     assert_eq!(result(&store, "d").as_deref(), Some(&b"d.out"[..]));
     let get = |id: &str| store.get(id).expect("no fault").expect("the job");
@@ -158,7 +158,7 @@ fn a_folder_of_version_3_is_gone_on_with() {
     }
     drop(store);
 
-    let store = open(dir.path(), 103);
+    let store = Store::open(dir.path(), BOUNDS, 103).expect("a store");
     assert_eq!(files(dir.path()), ["d.out", "q.1.out", "r.1.out"]);
     assert_eq!(result(&store, "r").as_deref(), Some(&b"r"[..]));
     assert!(store.delete("d").expect("no fault"));

@@ -1,5 +1,6 @@
 //! The store: its rules one by one, and what its tests share.
 
+pub(crate) mod engine;
 mod migrations;
 mod model;
 mod records;
@@ -10,6 +11,7 @@ use std::io::{Read, Write};
 use std::path::Path;
 
 use super::*;
+use engine::{Bench, over_each_engine};
 
 const DISK: u64 = 10_000;
 const ATTEMPTS: u32 = 3;
@@ -17,8 +19,8 @@ const BOUNDS: Bounds = Bounds { disk: DISK, jobs: 1000, client_jobs: 1000, attem
 /// What a result is taken for beforehand: more than any here is, with what is told of it.
 const RESULT: u64 = 300;
 
-fn open(folder: &Path, now: Time) -> Store {
-    Store::open(folder, BOUNDS, now).expect("a store")
+fn open(bench: &Bench, now: Time) -> Store {
+    bench.store(BOUNDS, now)
 }
 
 fn job(request: &str, key: Option<&str>, input: &[u8]) -> NewJob {
@@ -93,29 +95,33 @@ fn of(client: &str, key: Option<&str>) -> NewJob {
     NewJob { owner: client.into(), client: client.into(), ..job("4x", key, b"abc") }
 }
 
-#[test]
-fn a_job_that_ends_the_program_again_and_again_fails() {
-    let dir = tempfile::tempdir().expect("a folder");
+over_each_engine!(
+    a_job_that_ends_the_program_again_and_again_fails,
+    a_job_whose_leases_run_out_again_and_again_fails,
+    a_result_is_seen_whole_with_its_hash_or_not_at_all,
+    what_a_stale_worker_writes_is_not_the_result_and_does_not_stay,
+    what_is_refused_leaves_no_file,
+);
+
+fn a_job_that_ends_the_program_again_and_again_fails(bench: Bench) {
     let mut id = String::new();
     for attempt in 1..=ATTEMPTS {
-        let store = open(dir.path(), 0);
+        let store = open(&bench, 0);
         if attempt == 1 {
             id = submit(&store, &job("a", None, b"cloud"), 0);
         }
         assert_eq!(claim(&store, 1).expect("a job").record.attempts, attempt);
     }
-    let store = open(dir.path(), 5);
+    let store = open(&bench, 5);
     let job = store.get(&id).expect("no fault").expect("a job");
     assert_eq!((job.state, job.finished), (State::Failed, Some(5)));
     assert_eq!(job.failure, Some(Failure::GaveUp { attempts: ATTEMPTS, tile: None }));
     assert_eq!(claim(&store, 6), None);
-    assert_eq!(files(dir.path()), [""; 0]);
+    assert_eq!(files(bench.path()), [""; 0]);
 }
 
-#[test]
-fn a_job_whose_leases_run_out_again_and_again_fails() {
-    let dir = tempfile::tempdir().expect("a folder");
-    let store = open(dir.path(), 0);
+fn a_job_whose_leases_run_out_again_and_again_fails(bench: Bench) {
+    let store = open(&bench, 0);
     let id = submit(&store, &job("a", None, b"cloud"), 0);
     for now in 1..=i64::from(ATTEMPTS) {
         let lease = store.claim("worker", now, now + 1).expect("no fault").expect("a job");
@@ -124,19 +130,17 @@ fn a_job_whose_leases_run_out_again_and_again_fails() {
     assert_eq!(claim(&store, 5), None);
     let job = store.get(&id).expect("no fault").expect("a job");
     assert_eq!((job.state, job.finished), (State::Failed, Some(5)));
-    assert_eq!(files(dir.path()), [""; 0]);
+    assert_eq!(files(bench.path()), [""; 0]);
 }
 
-#[test]
-fn a_result_is_seen_whole_with_its_hash_or_not_at_all() {
-    let dir = tempfile::tempdir().expect("a folder");
-    let store = open(dir.path(), 0);
+fn a_result_is_seen_whole_with_its_hash_or_not_at_all(bench: Bench) {
+    let store = open(&bench, 0);
     let id = submit(&store, &job("a", None, b"cloud"), 0);
     let lease = claim(&store, 1).expect("a job");
     let mut writer = store.result_writer(&lease).expect("a result");
     writer.write_all(b"half of i").expect("room");
     drop(writer);
-    assert_eq!(files(dir.path()), [format!("{id}.in")]);
+    assert_eq!(files(bench.path()), [format!("{id}.in")]);
     let made = write(&store, &lease, b"abc");
     assert_eq!(result(&store, &id), None, "not before it is done");
     assert!(store.done(&lease, &made, 2).expect("no fault"));
@@ -147,10 +151,8 @@ fn a_result_is_seen_whole_with_its_hash_or_not_at_all() {
     assert_eq!((made.sha256.as_str(), made.bytes), (abc, 3));
 }
 
-#[test]
-fn what_a_stale_worker_writes_is_not_the_result_and_does_not_stay() {
-    let dir = tempfile::tempdir().expect("a folder");
-    let store = open(dir.path(), 0);
+fn what_a_stale_worker_writes_is_not_the_result_and_does_not_stay(bench: Bench) {
+    let store = open(&bench, 0);
     let id = submit(&store, &job("a", None, b"cloud"), 0);
     let stale = store.claim("slow", 1, 10).expect("no fault").expect("a job");
     let lease = claim(&store, 10).expect("the same, since the lease has run out");
@@ -163,13 +165,13 @@ fn what_a_stale_worker_writes_is_not_the_result_and_does_not_stay() {
     assert!(!store.done(&stale, &late, 13).expect("no fault"));
     assert!(!store.put_back(&stale).expect("no fault"));
     assert_eq!(result(&store, &id).as_deref(), Some(&b"right"[..]));
-    assert_eq!(files(dir.path()), [made.blob]);
+    assert_eq!(files(bench.path()), [made.blob]);
 }
 
 #[test]
 fn a_folder_is_open_once_and_a_later_version_is_not_touched() {
     let dir = tempfile::tempdir().expect("a folder");
-    let store = open(dir.path(), 0);
+    let store = Store::open(dir.path(), BOUNDS, 0).expect("a store");
     assert!(matches!(Store::open(dir.path(), BOUNDS, 0), Err(StoreError::Locked)));
     drop(store);
     let database = rusqlite::Connection::open(dir.path().join("jobs.sqlite")).expect("a database");
@@ -179,14 +181,12 @@ fn a_folder_is_open_once_and_a_later_version_is_not_touched() {
     assert!(matches!(refused, Err(StoreError::Version { found: 6, known: 5 })));
 }
 
-#[test]
-fn what_is_refused_leaves_no_file() {
-    let dir = tempfile::tempdir().expect("a folder");
-    let store = Store::open(dir.path(), Bounds { jobs: 1, ..BOUNDS }, 0).expect("a store");
+fn what_is_refused_leaves_no_file(bench: Bench) {
+    let store = bench.store(Bounds { jobs: 1, ..BOUNDS }, 0);
     let draft = Draft::new(job("a", None, b"cloud")).expect("a draft");
     let Admitted::New(late) = store.admit(&draft).expect("room") else { panic!("new") };
     let input = store.write_input(&late, &draft).expect("room");
     let first = submit(&store, &job("b", None, b"cloud"), 0);
     assert!(matches!(store.insert(&draft, input, 1), Err(StoreError::Full { .. })), "another was quicker");
-    assert_eq!(files(dir.path()), [format!("{first}.in")]);
+    assert_eq!(files(bench.path()), [format!("{first}.in")]);
 }

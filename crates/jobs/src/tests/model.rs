@@ -3,9 +3,11 @@
 use std::collections::BTreeMap;
 
 use proptest::prelude::*;
+use proptest::test_runner::TestRunner;
 
+use super::engine::Engine;
 use super::*;
-use crate::sqlite::rows::{failure_text, result_text};
+use crate::columns::{failure_text, result_text};
 
 /// One thing that can happen to a store.
 #[derive(Debug, Clone)]
@@ -164,7 +166,7 @@ impl Model {
 
 /// A store and what should be in it.
 struct World {
-    folder: tempfile::TempDir,
+    bench: Bench,
     // None only while it is opened anew.
     store: Option<Store>,
     model: BTreeMap<String, Model>,
@@ -176,10 +178,9 @@ struct World {
 }
 
 impl World {
-    fn new() -> Self {
-        let folder = tempfile::tempdir().expect("a folder");
-        let store = Some(open(folder.path(), 0));
-        Self { folder, store, model: BTreeMap::new(), order: Vec::new(), now: 0, clock: 0 }
+    fn new(bench: Bench) -> Self {
+        let store = Some(open(&bench, 0));
+        Self { bench, store, model: BTreeMap::new(), order: Vec::new(), now: 0, clock: 0 }
     }
 
     fn store(&self) -> &Store {
@@ -413,10 +414,10 @@ impl World {
     }
 
     fn reopen(&mut self) -> Result<(), TestCaseError> {
-        std::fs::write(self.folder.path().join("files/x.in.part"), b"half").expect("a file");
+        std::fs::write(self.bench.path().join("files/x.in.part"), b"half").expect("a file");
         drop(self.store.take());
         let now = self.now;
-        self.store = Some(open(self.folder.path(), now));
+        self.store = Some(open(&self.bench, now));
         self.lapse(Time::MAX);
         let mut promised: Vec<_> = self.model.iter().flat_map(|(id, known)| known.files(id)).collect();
         promised.sort();
@@ -426,7 +427,7 @@ impl World {
             promised.contains(name)
                 || !known.is_some_and(|known| known.tiles.is_some() && !known.state.is_final())
         };
-        let files: Vec<_> = files(self.folder.path()).into_iter().filter(is_left).collect();
+        let files: Vec<_> = files(self.bench.path()).into_iter().filter(is_left).collect();
         prop_assert_eq!(files, promised);
         Ok(())
     }
@@ -483,14 +484,17 @@ fn leave(store: &Store, lease: &Lease) -> String {
     place.own
 }
 
-proptest! {
-    #![proptest_config(ProptestConfig { cases: 24, ..ProptestConfig::default() })]
+over_each_engine!(a_store_is_what_happened_to_it);
 
-    /// Whatever happens: a job is where the model has it, its files are those that its state promises, it
-    /// is never done twice, and after a new start there is no other file.
-    #[test]
-    fn a_store_is_what_happened_to_it(steps in prop::collection::vec(step(), 0..40)) {
-        let mut world = World::new();
-        steps.into_iter().try_for_each(|step| world.take(step))?;
-    }
+/// Whatever happens: a job is where the model has it, its files are those that its state promises, it
+/// is never done twice, and after a new start there is no other file.
+fn a_store_is_what_happened_to_it(bench: Bench) {
+    let cases = if bench.engine == Engine::Sqlite { 24 } else { 8 };
+    let mut runner =
+        TestRunner::new(ProptestConfig { cases, source_file: Some(file!()), ..ProptestConfig::default() });
+    let happened = runner.run(&prop::collection::vec(step(), 0..40), |steps| {
+        let mut world = World::new(Bench::of(bench.engine));
+        steps.into_iter().try_for_each(|step| world.take(step))
+    });
+    happened.unwrap_or_else(|error| panic!("{error}"));
 }

@@ -1,5 +1,4 @@
-//! What every keeper of records has to do, whatever it keeps them in: each test is a function over the trait, and
-//! [`conform`] runs all of them over one implementation.
+//! What every keeper of records has to do, whatever it keeps them in: each test is a function over the trait.
 
 use std::collections::BTreeMap;
 use std::sync::Mutex;
@@ -10,46 +9,26 @@ use super::*;
 /// Of the records under test, which are empty.
 pub(super) const BOUNDS: Bounds = Bounds { disk: 1 << 20, jobs: 40, client_jobs: 20, attempts: ATTEMPTS };
 
-/// Makes tests of the functions below, over records with [`BOUNDS`] that `$open` makes in a new folder.
-macro_rules! conform {
-    ($open:expr) => {
-        conform!($open, [
-            clients_take_turns_and_have_their_own_names_for_requests,
-            nobody_starves_whoever_else_comes_whatever_the_time,
-            a_job_that_finds_no_room_lets_other_clients_go_on,
-            no_more_jobs_wait_than_may,
-            a_key_names_one_request,
-            jobs_take_no_more_of_the_disk_than_they_may,
-            rows_count_whatever_their_state_so_jobs_that_are_cancelled_do_not_fill_the_disk,
-            a_stale_lease_changes_nothing,
-            a_lease_that_ran_out_is_given_anew_as_often_as_may_be,
-            a_beat_extends_a_lease,
-            no_job_has_two_workers_or_two_ends,
-            what_is_over_is_forgotten_when_its_time_has_come,
-            records_are_found_counted_and_listed,
-            tiles_are_claimed_by_many_and_joined_by_one,
-            clients_take_turns_tile_by_tile,
-            a_tile_that_is_lost_is_given_anew_as_often_as_may_be,
-            a_stale_lease_on_a_tile_changes_nothing,
-            a_job_whose_tiles_are_of_no_use_begins_anew,
-        ]);
-    };
-    ($open:expr, [$($name:ident),* $(,)?]) => {
-        $(
-            #[test]
-            fn $name() {
-                let folder = tempfile::tempdir().expect("a folder");
-                super::$name(&$open(folder.path()));
-            }
-        )*
-    };
-}
-
-mod sqlite {
-    use super::*;
-
-    conform!(|folder: &Path| Sqlite::open(folder, BOUNDS).expect("a database"));
-}
+over_each_engine!(|bench| &*bench.records(BOUNDS) =>
+    clients_take_turns_and_have_their_own_names_for_requests,
+    nobody_starves_whoever_else_comes_whatever_the_time,
+    a_job_that_finds_no_room_lets_other_clients_go_on,
+    no_more_jobs_wait_than_may,
+    a_key_names_one_request,
+    jobs_take_no_more_of_the_disk_than_they_may,
+    rows_count_whatever_their_state_so_jobs_that_are_cancelled_do_not_fill_the_disk,
+    a_stale_lease_changes_nothing,
+    a_lease_that_ran_out_is_given_anew_as_often_as_may_be,
+    a_beat_extends_a_lease,
+    no_job_has_two_workers_or_two_ends,
+    what_is_over_is_forgotten_when_its_time_has_come,
+    records_are_found_counted_and_listed,
+    tiles_are_claimed_by_many_and_joined_by_one,
+    clients_take_turns_tile_by_tile,
+    a_tile_that_is_lost_is_given_anew_as_often_as_may_be,
+    a_stale_lease_on_a_tile_changes_nothing,
+    a_job_whose_tiles_are_of_no_use_begins_anew,
+);
 
 fn try_put(records: &dyn Records, job: &NewJob, now: Time) -> Result<Submitted, StoreError> {
     let draft = Draft::new(job.clone()).expect("a draft");

@@ -107,14 +107,11 @@ const LONG: Duration = Duration::from_secs(60);
 fn wait_until(jobs: &Jobs, mut so: impl FnMut() -> bool) {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_time().build().expect("a runtime");
     let mut changes = jobs.changes();
-    let all = async {
-        while !so() {
-            changes.changed().await.expect("the jobs are there");
-        }
-    };
-    runtime
-        .block_on(async { tokio::time::timeout(LONG, all).await })
-        .expect("what was waited for has not happened");
+    // Asked beside the runtime: what is asked may wait.
+    while !so() {
+        let changed = runtime.block_on(async { tokio::time::timeout(LONG, changes.changed()).await });
+        changed.expect("what was waited for has not happened").expect("the jobs are there");
+    }
 }
 
 fn keep(jobs: &Jobs, job: &NewJob) -> String {
@@ -125,11 +122,19 @@ fn keep(jobs: &Jobs, job: &NewJob) -> String {
     id
 }
 
-#[test]
-fn jobs_expire_while_all_threads_are_at_work() {
-    let dir = tempfile::tempdir().expect("a folder");
-    let settings = Settings { expiry: Duration::from_millis(1), ..Settings::new(dir.path().to_owned()) };
-    let jobs = Arc::new(Jobs::open(settings).expect("a store"));
+over_each_engine!(
+    jobs_expire_while_all_threads_are_at_work,
+    each_end_of_the_work_is_its_jobs_state,
+    a_worker_whose_lease_ran_out_does_not_spoil_what_another_makes,
+    no_time_takes_a_job_from_a_thread_that_is_at_it,
+    the_tiles_of_a_job_are_worked_on_and_joined_and_others_are_between,
+    a_tile_is_tried_again_or_its_job_fails_or_begins_anew,
+    a_job_in_tiles_goes_on_where_the_program_ended,
+);
+
+fn jobs_expire_while_all_threads_are_at_work(bench: Bench) {
+    let settings = Settings { expiry: Duration::from_millis(1), ..Settings::new(bench.path().to_owned()) };
+    let jobs = Arc::new(bench.jobs(settings));
     let (work, (arrived, go)) = told();
     jobs.start(&work).expect("threads");
     let first = keep(&jobs, &job("done", None, b"x"));
@@ -140,17 +145,15 @@ fn jobs_expire_while_all_threads_are_at_work() {
     // The row goes before its file.
     let left = [format!("{long}.1.out.part"), format!("{long}.in")];
     let gone = || jobs.store().get(&first).expect("no fault").is_none();
-    wait_until(&jobs, || gone() && files(dir.path()) == left);
+    wait_until(&jobs, || gone() && files(bench.path()) == left);
     jobs.stop();
     go.send(Ok(())).expect("the work listens");
     jobs.join();
 }
 
-#[test]
-fn each_end_of_the_work_is_its_jobs_state() {
-    let dir = tempfile::tempdir().expect("a folder");
-    let settings = Settings::new(dir.path().to_owned());
-    let jobs = Arc::new(Jobs::open(settings).expect("a store"));
+fn each_end_of_the_work_is_its_jobs_state(bench: Bench) {
+    let settings = Settings::new(bench.path().to_owned());
+    let jobs = Arc::new(bench.jobs(settings));
     let (work, (arrived, go)) = told();
     jobs.start(&work).expect("a thread");
     let mut ids = HashMap::new();
@@ -200,14 +203,12 @@ fn each_end_of_the_work_is_its_jobs_state() {
         assert_eq!(job.failure, failure);
     }
     // One cloud that waits, four results.
-    assert_eq!(files(dir.path()).len(), 5);
+    assert_eq!(files(bench.path()).len(), 5);
 }
 
-#[test]
-fn a_worker_whose_lease_ran_out_does_not_spoil_what_another_makes() {
-    let dir = tempfile::tempdir().expect("a folder");
-    let settings = Settings::new(dir.path().to_owned());
-    let store = Store::open(dir.path(), BOUNDS, 0).expect("a store");
+fn a_worker_whose_lease_ran_out_does_not_spoil_what_another_makes(bench: Bench) {
+    let settings = Settings::new(bench.path().to_owned());
+    let store = bench.store(BOUNDS, 0);
     let start = |clock: &Arc<Watch>| {
         let jobs = Arc::new(Jobs::new(store.clone(), settings.clone(), Arc::clone(clock) as Arc<dyn Clock>));
         let (work, ends) = told();
@@ -225,7 +226,7 @@ fn a_worker_whose_lease_ran_out_does_not_spoil_what_another_makes() {
     wait_until(&slow, || slow.at_work(&id).is_empty());
     slow.stop();
     slow.join();
-    assert_eq!(files(dir.path()), [format!("{id}.2.out.part"), format!("{id}.in")]);
+    assert_eq!(files(bench.path()), [format!("{id}.2.out.part"), format!("{id}.in")]);
     assert_eq!(store.get(&id).expect("no fault").expect("the job").state, State::Running);
     quick_go.send(Ok(())).expect("the work listens");
     wait_until(&quick, || quick.at_work(&id).is_empty());
@@ -234,14 +235,12 @@ fn a_worker_whose_lease_ran_out_does_not_spoil_what_another_makes() {
     let job = store.get(&id).expect("no fault").expect("the job");
     assert_eq!((job.state, job.attempts, job.finished), (State::Done, 2, Some(3_600_000)));
     assert_eq!(result(&store, &id).as_deref(), Some(&b"cloud"[..]));
-    assert_eq!(files(dir.path()), [format!("{id}.2.out")]);
+    assert_eq!(files(bench.path()), [format!("{id}.2.out")]);
 }
 
-#[test]
-fn no_time_takes_a_job_from_a_thread_that_is_at_it() {
-    let dir = tempfile::tempdir().expect("a folder");
-    let settings = Settings { running: 2, ..Settings::new(dir.path().to_owned()) };
-    let store = Store::open(dir.path(), BOUNDS, 0).expect("a store");
+fn no_time_takes_a_job_from_a_thread_that_is_at_it(bench: Bench) {
+    let settings = Settings { running: 2, ..Settings::new(bench.path().to_owned()) };
+    let store = bench.store(BOUNDS, 0);
     let clock = Watch::at(0);
     let jobs = Arc::new(Jobs::new(store, settings, Arc::clone(&clock) as Arc<dyn Clock>));
     let (work, (arrived, go)) = told();
@@ -261,10 +260,8 @@ fn no_time_takes_a_job_from_a_thread_that_is_at_it() {
     jobs.join();
 }
 
-#[test]
-fn the_tiles_of_a_job_are_worked_on_and_joined_and_others_are_between() {
-    let dir = tempfile::tempdir().expect("a folder");
-    let jobs = Arc::new(Jobs::open(Settings::new(dir.path().to_owned())).expect("a store"));
+fn the_tiles_of_a_job_are_worked_on_and_joined_and_others_are_between(bench: Bench) {
+    let jobs = Arc::new(bench.jobs(Settings::new(bench.path().to_owned())));
     let (work, (arrived, go)) = told();
     jobs.start(&work).expect("a thread");
     let large = keep(&jobs, &job("tiles", None, b"x"));
@@ -288,13 +285,11 @@ fn the_tiles_of_a_job_are_worked_on_and_joined_and_others_are_between() {
     assert_eq!((tiles.count, tiles.done, tiles.points), (3, 3, 3));
     jobs.stop();
     jobs.join();
-    assert_eq!(files(dir.path()).len(), 2, "the results");
+    assert_eq!(files(bench.path()).len(), 2, "the results");
 }
 
-#[test]
-fn a_tile_is_tried_again_or_its_job_fails_or_begins_anew() {
-    let dir = tempfile::tempdir().expect("a folder");
-    let jobs = Arc::new(Jobs::open(Settings::new(dir.path().to_owned())).expect("a store"));
+fn a_tile_is_tried_again_or_its_job_fails_or_begins_anew(bench: Bench) {
+    let jobs = Arc::new(bench.jobs(Settings::new(bench.path().to_owned())));
     let (work, (arrived, go)) = told();
     jobs.start(&work).expect("a thread");
     let id = keep(&jobs, &job("tiles", None, b"x"));
@@ -314,16 +309,14 @@ fn a_tile_is_tried_again_or_its_job_fails_or_begins_anew() {
     assert_eq!(job().failure, Some(Failure::Refused("why".into())));
     jobs.stop();
     jobs.join();
-    assert_eq!(files(dir.path()), [""; 0]);
+    assert_eq!(files(bench.path()), [""; 0]);
 }
 
-#[test]
-fn a_job_in_tiles_goes_on_where_the_program_ended() {
-    let dir = tempfile::tempdir().expect("a folder");
+fn a_job_in_tiles_goes_on_where_the_program_ended(bench: Bench) {
     let mut steps = Vec::new();
     let mut id = String::new();
     for stop_at in [2, 1, 9] {
-        let jobs = Arc::new(Jobs::open(Settings::new(dir.path().to_owned())).expect("a store"));
+        let jobs = Arc::new(bench.jobs(Settings::new(bench.path().to_owned())));
         let (work, (arrived, go)) = told();
         jobs.start(&work).expect("a thread");
         if id.is_empty() {
@@ -346,5 +339,5 @@ fn a_job_in_tiles_goes_on_where_the_program_ended() {
     }
     let expected = ["", "/0", "/0", "/0", "/1", "/2", "/join"].map(|step| format!("{id}{step}"));
     assert_eq!(steps, expected);
-    assert_eq!(files(dir.path()).len(), 1, "the result");
+    assert_eq!(files(bench.path()).len(), 1, "the result");
 }

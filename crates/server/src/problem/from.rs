@@ -56,6 +56,10 @@ impl From<StoreError> for Problem {
             StoreError::ClientFull { queued, limit } => Self::ClientJobs { queued, limit, retry_after: SOON },
             error if error.is_full() => Self::DiskFull(error.to_string()),
             error if error.is_busy() => Self::JobsBusy("another program has locked the jobs' database"),
+            error if error.is_unsure() => {
+                Self::JobsBusy("the jobs' database was lost before it said whether this was done")
+            }
+            error if error.is_away() => Self::JobsBusy("the jobs' database cannot be reached"),
             error => Self::Internal(error.to_string()),
         }
     }

@@ -1,0 +1,411 @@
+//! Records as rows of a Postgres database, which many programs on many machines share.
+//!
+//! | file | holds |
+//! |---|---|
+//! | `address`, `password`, `tls` | where the database is, and how it is reached |
+//! | `connection` | connections, and calls that end by a deadline, whatever becomes of the database |
+//! | `trouble` | what went wrong, as the caller sees it |
+//! | `happened` | whether a change was kept of which nobody heard |
+//! | `schema` | the tables, and how those of earlier versions become them |
+//! | `rows`, `steps` | rows as values; steps of jobs |
+//! | `clock`, `listen` | the database's time, and what it tells |
+
+mod address;
+mod clock;
+mod connection;
+mod happened;
+mod listen;
+mod password;
+mod rows;
+mod schema;
+mod steps;
+mod tls;
+mod trouble;
+
+use std::cell::RefCell;
+use std::sync::Arc;
+
+use deadpool_postgres::{GenericClient, Transaction};
+use tokio_postgres::Row;
+
+use crate::clock::Clock;
+use crate::columns::{failure_text, integer, natural, result_text};
+use crate::error::StoreError;
+use crate::record::{Draft, Failure, NewJob, Record, ResultFile, State, Time};
+use crate::records::{
+    Admitted, Bounds, Change, Forgotten, Lapsed, Lease, Load, Promised, Records, Step, Submitted,
+};
+pub use address::{Address, AddressError};
+pub use connection::Limits;
+pub use password::Password;
+
+use connection::Database;
+use rows::{COLUMNS, change, collect, find, load, one, record, select, small, used};
+use steps::{
+    BY_TILE, FAILED, FREE, HELD, TILE_HELD, TILE_ROW, held, lapse, next, next_turn, pass, put_back, start,
+    start_tile,
+};
+use trouble::Failed;
+
+/// Records in a Postgres database. Each call ends by a deadline: where the database is not there by then, as an error
+/// that [`StoreError::is_away`].
+///
+/// What changes a row comes one after another, over all programs: each transaction first locks the one row of totals,
+/// which most of them change anyway. So turns and limits are as exact as in one program, and nothing waits in a circle.
+pub struct Postgres {
+    database: Database,
+    bounds: Bounds,
+}
+
+impl Postgres {
+    /// Connects, makes the tables where there are none, and brings older ones up to date.
+    ///
+    /// # Errors
+    /// [`StoreError::Version`], or what the database says, or the system.
+    pub fn open(
+        address: &Address,
+        password: Option<&Password>,
+        limits: Limits,
+        bounds: Bounds,
+    ) -> Result<Self, StoreError> {
+        let database = Database::new(address, password, limits)?;
+        database.prepare(async |transaction| schema::migrate(transaction, &address.schema).await)?;
+        // The time, and whether there is the right to change anything.
+        database.write(async |_, _| Ok(()))?;
+        Ok(Self { database, bounds })
+    }
+
+    /// The database's clock, by which leases go: it is the same for all machines.
+    #[must_use]
+    pub fn clock(&self) -> Arc<dyn Clock> {
+        Arc::clone(&self.database.clock) as Arc<dyn Clock>
+    }
+
+    /// Removes a schema, and all that is in it.
+    #[cfg(test)]
+    pub(crate) fn erase(schema: &str) {
+        let (address, password) = crate::tests::engine::address(schema);
+        let database = Database::new(&address, Some(&password), Limits::default()).expect("threads");
+        let drop = format!("DROP SCHEMA IF EXISTS {schema} CASCADE");
+        database.prepare(async |transaction| Ok(transaction.batch_execute(&drop).await?)).expect("no fault");
+    }
+
+    /// The job that this request made earlier, or none where there is room for a new one.
+    async fn known(&self, database: &impl GenericClient, draft: &Draft) -> Result<Option<Record>, Failed> {
+        let (job, wanted) = (&draft.job, draft.bytes());
+        if let Some(key) = &job.key {
+            let sql = format!("SELECT {COLUMNS}, fingerprint FROM jobs WHERE owner = $1 AND key = $2");
+            let read = |row: &Row| Ok((record(row)?, row.try_get::<_, String>(21)?));
+            match collect(database, &sql, &[&job.owner, key], read).await?.pop() {
+                Some((known, same)) if same == draft.fingerprint => return Ok(Some(known)),
+                Some(_) => return Err(StoreError::OtherRequest.into()),
+                None => {}
+            }
+        }
+        self.check(database, &job.client).await?;
+        let (used, limit) = (used(database).await?, self.bounds.disk);
+        if used.saturating_add(wanted) > limit {
+            return Err(StoreError::OverBudget { used, wanted, limit }.into());
+        }
+        Ok(None)
+    }
+
+    async fn check(&self, database: &impl GenericClient, client: &str) -> Result<(), Failed> {
+        let Load { jobs, own, .. } = load(database, client).await?;
+        let Bounds { jobs: limit, client_jobs, .. } = self.bounds;
+        if own >= client_jobs {
+            return Err(StoreError::ClientFull { queued: own, limit: client_jobs }.into());
+        }
+        if jobs >= limit {
+            return Err(StoreError::Full { queued: jobs, limit }.into());
+        }
+        Ok(())
+    }
+
+    async fn put(database: &Transaction<'_>, id: &str, draft: &Draft, now: Time) -> Result<Record, Failed> {
+        let job = &draft.job;
+        let sql = format!(
+            "INSERT INTO jobs (id, state, request, owner, client, key, fingerprint, request_id, points_in, \
+             points_out, row_bytes, bytes, created, turn) \
+             VALUES ($1, 'queued', $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, $12, {}) RETURNING {COLUMNS}",
+            next_turn("$4")
+        );
+        let (points_in, points_out) = (integer(job.points_in), integer(job.points_out));
+        let (row_bytes, bytes) = (integer(draft.row_bytes), integer(draft.bytes()));
+        let NewJob { request, owner, client, key, request_id, .. } = job;
+        one(
+            database,
+            &sql,
+            &[
+                &id,
+                request,
+                owner,
+                client,
+                key,
+                &draft.fingerprint,
+                request_id,
+                &points_in,
+                &points_out,
+                &row_bytes,
+                &bytes,
+                &now,
+            ],
+            record,
+        )
+        .await
+    }
+
+    /// Forgets jobs in a final state. What was found, and is not there any more though this never heard of its end, it
+    /// takes for its own: whoever forgot it, nobody needs its blob.
+    fn forget(&self, which: &str, values: rows::Values<'_>) -> Result<Vec<Forgotten>, StoreError> {
+        let earlier: RefCell<Vec<Forgotten>> = RefCell::default();
+        self.database.write(async |database, _| {
+            let found =
+                collect(database, &format!("SELECT id, blob FROM jobs WHERE {which}"), values, forgotten)
+                    .await?;
+            let ids: Vec<&str> = found.iter().map(|one| &*one.id).collect();
+            change(database, "DELETE FROM jobs WHERE id = ANY($1)", &[&ids]).await?;
+            let mut all = earlier.borrow_mut();
+            all.retain(|one| !ids.contains(&&*one.id));
+            all.extend(found);
+            Ok(all.clone())
+        })
+    }
+}
+
+impl Records for Postgres {
+    fn admit(&self, draft: &Draft) -> Result<Admitted, StoreError> {
+        self.database.read(async |database| {
+            if let Some(known) = self.known(database, draft).await? {
+                return Ok(Admitted::Known(Box::new(known)));
+            }
+            // Of 122 random bits.
+            let sql = "SELECT replace(gen_random_uuid()::text, '-', '')";
+            one(database, sql, &[], |row| Ok(Admitted::New(row.try_get(0)?))).await
+        })
+    }
+
+    fn has_room(&self, client: &str) -> Result<(), StoreError> {
+        self.database.read(async |database| self.check(database, client).await)
+    }
+
+    fn insert(&self, id: &str, draft: &Draft, now: Time) -> Result<Submitted, StoreError> {
+        self.database.write(async |database, again| {
+            if again && let Some(own) = find(database, id).await? {
+                return Ok(Submitted::New(own));
+            }
+            if let Some(known) = self.known(database, draft).await? {
+                return Ok(Submitted::Known(known));
+            }
+            Self::put(database, id, draft, now).await.map(Submitted::New)
+        })
+    }
+
+    // A lease that nobody heard of runs out.
+    fn claim(&self, worker: &str, now: Time, until: Time) -> Result<Option<Lease>, StoreError> {
+        self.database.write_once(async |database| match next(database).await? {
+            None => Ok(None),
+            Some((id, Step::Tile(tile))) => start_tile(database, &id, tile, worker, until).await,
+            Some((id, step)) => start(database, &id, step, worker, [now, until]).await,
+        })
+    }
+
+    fn lapse(&self, time: Time, now: Time) -> Result<Vec<Lapsed>, StoreError> {
+        let most = self.bounds.attempts;
+        let sql = "SELECT id, NULL::integer, attempts FROM jobs WHERE state = 'running' AND until <= $1 \
+                   UNION ALL SELECT job, tile, attempts FROM tiles WHERE state = 'running' AND until <= $1";
+        let read = |row: &Row| {
+            let (tile, attempts) = (row.try_get::<_, Option<i32>>(1)?.map(small), row.try_get(2).map(small)?);
+            Ok(Lapsed { id: row.try_get(0)?, tile, attempts, again: attempts < most })
+        };
+        // Most of the time there is none, and nobody has to wait.
+        if self.database.read(async |database| collect(database, sql, &[&time], read).await)?.is_empty() {
+            return Ok(Vec::new());
+        }
+        self.database.write(async |database, _| {
+            let mut kept = Vec::new();
+            for one in collect(database, sql, &[&time], read).await? {
+                if lapse(database, &one, now).await? {
+                    kept.push(one);
+                }
+            }
+            Ok(kept)
+        })
+    }
+
+    fn beat(&self, lease: &Lease, until: Time) -> Result<bool, StoreError> {
+        let (table, held_by) = match lease.step {
+            Step::Tile(_) => ("tiles", TILE_HELD),
+            Step::Whole | Step::Join => ("jobs", HELD),
+        };
+        let (id, attempt) = held(lease);
+        let sql = format!("UPDATE {table} SET until = $3 WHERE {held_by}");
+        self.database.write(async |database, _| change(database, &sql, &[&id, &attempt, &until]).await)
+    }
+
+    fn split(&self, lease: &Lease, plan: &str, sizes: &[u64], bytes: u64) -> Result<bool, StoreError> {
+        let (id, attempt) = held(lease);
+        let count = i32::try_from(sizes.len()).unwrap_or(i32::MAX);
+        let bytes = integer(bytes.saturating_add(sizes.len() as u64 * TILE_ROW));
+        let sql = format!(
+            "UPDATE jobs SET {FREE}, claims = claims + 1, attempts = 0, waits = true, plan = $3, tiles = $4, \
+             tiles_done = 0, points_done = 0, tile_bytes = $5, bytes = bytes + $5, turn = {} WHERE {HELD}",
+            next_turn("$6")
+        );
+        self.database.write(async |database, again| {
+            if !change(database, &sql, &[&id, &attempt, &plan, &count, &bytes, &lease.record.client]).await? {
+                return Ok(again && happened::split(database, lease, plan).await?);
+            }
+            let sql = "INSERT INTO tiles (job, tile, state) SELECT $1, tile, 'waiting' FROM generate_series(0, $2 - 1) tile";
+            change(database, sql, &[&id, &count]).await?;
+            Ok(true)
+        })
+    }
+
+    fn tile_done(&self, lease: &Lease, part: &str, points: u64) -> Result<bool, StoreError> {
+        let (id, attempt) = held(lease);
+        self.database.write(async |database, again| {
+            let sql = format!("UPDATE tiles SET state = 'done', blob = $3, {FREE} WHERE {TILE_HELD}");
+            if !change(database, &sql, &[&id, &attempt, &part]).await? {
+                return Ok(again && happened::tile_done(database, lease, part).await?);
+            }
+            let sql = "UPDATE jobs SET tiles_done = tiles_done + 1, points_done = points_done + $2, \
+                       waits = waits OR tiles_done + 1 = tiles WHERE id = $1";
+            change(database, sql, &[&id, &integer(points)]).await
+        })
+    }
+
+    fn parts(&self, id: &str) -> Result<Vec<(u32, String)>, StoreError> {
+        let sql = "SELECT tile, blob FROM tiles WHERE job = $1 AND state = 'done' ORDER BY tile";
+        let read = |row: &Row| Ok((row.try_get(0).map(small)?, row.try_get(1)?));
+        self.database.read(async |database| collect(database, sql, &[&id], read).await)
+    }
+
+    fn unsplit(&self, lease: &Lease) -> Result<bool, StoreError> {
+        let (id, attempt) = held(lease);
+        let which = if let Step::Tile(_) = lease.step { BY_TILE } else { HELD };
+        let sql = format!(
+            "UPDATE jobs SET state = 'queued', started = NULL, attempts = 0, claims = claims + 1, {FREE}, \
+             waits = true, plan = NULL, tiles = NULL, tiles_done = 0, points_done = 0, \
+             bytes = bytes - tile_bytes, tile_bytes = 0 WHERE {which}"
+        );
+        self.database.write(async |database, again| {
+            if !change(database, &sql, &[&id, &attempt]).await? {
+                return Ok(again && happened::unsplit(database, lease).await?);
+            }
+            change(database, "DELETE FROM tiles WHERE job = $1", &[&id]).await?;
+            Ok(true)
+        })
+    }
+
+    fn done(&self, lease: &Lease, result: &ResultFile, now: Time) -> Result<bool, StoreError> {
+        let sql = format!(
+            "UPDATE jobs SET state = 'done', finished = $3, result = $4, blob = $5, waits = false, \
+             bytes = row_bytes + octet_length($4::text) + $6 WHERE {HELD}"
+        );
+        let text = result_text(result);
+        let ((id, attempt), bytes) = (held(lease), integer(result.bytes));
+        self.database.write(async |database, again| {
+            let done = change(database, &sql, &[&id, &attempt, &now, &text, &result.blob, &bytes]).await?;
+            Ok(done || again && happened::done(database, lease, result).await?)
+        })
+    }
+
+    fn failed(&self, lease: &Lease, failure: &Failure, now: Time) -> Result<bool, StoreError> {
+        let which = if let Step::Tile(_) = lease.step { BY_TILE } else { HELD };
+        let (id, attempt) = held(lease);
+        let (sql, text) = (format!("UPDATE jobs SET {FAILED} WHERE {which}"), failure_text(failure));
+        self.database.write(async |database, again| {
+            let failed = change(database, &sql, &[&id, &attempt, &now, &text]).await?;
+            Ok(failed || again && happened::failed(database, lease, failure).await?)
+        })
+    }
+
+    fn put_back(&self, lease: &Lease) -> Result<bool, StoreError> {
+        self.database.write(async |database, again| {
+            Ok(put_back(database, lease).await? || again && happened::put_back(database, lease).await?)
+        })
+    }
+
+    fn defer(&self, lease: &Lease) -> Result<bool, StoreError> {
+        self.database.write(async |database, again| {
+            if !put_back(database, lease).await? {
+                return Ok(again && happened::put_back(database, lease).await?);
+            }
+            pass(database, lease).await?;
+            Ok(true)
+        })
+    }
+
+    fn cancel(&self, id: &str, now: Time) -> Result<bool, StoreError> {
+        let sql = "UPDATE jobs SET state = 'cancelled', finished = $1, bytes = row_bytes, waits = false \
+                   WHERE id = $2 AND state IN ('queued', 'running')";
+        self.database.write(async |database, again| {
+            Ok(change(database, sql, &[&now, &id]).await?
+                || again && happened::cancelled(database, id).await?)
+        })
+    }
+
+    fn delete(&self, id: &str) -> Result<Option<Forgotten>, StoreError> {
+        let which = "id = $1 AND state IN ('done', 'failed', 'cancelled')";
+        Ok(self.forget(which, &[&id])?.pop())
+    }
+
+    fn expire(&self, time: Time, most: u32) -> Result<Vec<Forgotten>, StoreError> {
+        self.forget("finished < $1 ORDER BY finished, number LIMIT $2", &[&time, &i64::from(most)])
+    }
+
+    fn get(&self, id: &str) -> Result<Option<Record>, StoreError> {
+        self.database.read(async |database| find(database, id).await)
+    }
+
+    fn list(&self, before: Option<i64>, limit: u32, owner: Option<&str>) -> Result<Vec<Record>, StoreError> {
+        let (before, limit) = (before.unwrap_or(i64::MAX), i64::from(limit));
+        let which = "WHERE number < $1 AND ($3::text IS NULL OR owner = $3) ORDER BY number DESC LIMIT $2";
+        self.database.read(async |database| select(database, which, &[&before, &limit, &owner]).await)
+    }
+
+    fn ahead(&self, job: &Record) -> Result<(u64, u64), StoreError> {
+        let sql = "SELECT count(*), coalesce(sum(points_out - points_done), 0)::bigint FROM jobs
+            WHERE waits AND (turn, number) < ($1, $2)";
+        let read = |row: &Row| Ok((row.try_get(0).map(natural)?, row.try_get(1).map(natural)?));
+        self.database.read(async |database| one(database, sql, &[&job.turn, &job.number], read).await)
+    }
+
+    fn counts(&self) -> Result<[(State, u64); 5], StoreError> {
+        let sql = "SELECT state, count(*) FROM jobs GROUP BY state";
+        let read = |row: &Row| Ok((row.try_get::<_, String>(0)?, row.try_get(1).map(natural)?));
+        let found = self.database.read(async |database| collect(database, sql, &[], read).await)?;
+        let count =
+            |state: State| found.iter().find(|(name, _)| name == state.name()).map_or(0, |(_, count)| *count);
+        Ok(State::ALL.map(|state| (state, count(state))))
+    }
+
+    fn load(&self, client: &str) -> Result<Load, StoreError> {
+        self.database.read(async |database| load(database, client).await)
+    }
+
+    fn used(&self) -> Result<u64, StoreError> {
+        self.database.read(async |database| used(database).await)
+    }
+
+    fn promised(&self) -> Result<Vec<Promised>, StoreError> {
+        // Names alone: there may be many rows, and long ones.
+        let sql = "SELECT id, tiles IS NOT NULL, blob FROM jobs WHERE state IN ('queued', 'running', 'done')";
+        let read = |row: &Row| {
+            let (id, tiles, blob): (_, bool, Option<String>) =
+                (row.try_get(0)?, row.try_get(1)?, row.try_get(2)?);
+            let no_result = || if tiles { Promised::Tiles(id) } else { Promised::Input(id) };
+            Ok(blob.map_or_else(no_result, Promised::Result))
+        };
+        self.database.read(async |database| collect(database, sql, &[], read).await)
+    }
+
+    fn listen(&self, wake: Arc<dyn Fn(Change) + Send + Sync>) {
+        listen::start(&self.database, wake);
+    }
+}
+
+fn forgotten(row: &Row) -> Result<Forgotten, Failed> {
+    Ok(Forgotten { id: row.try_get(0)?, blob: row.try_get(1)? })
+}

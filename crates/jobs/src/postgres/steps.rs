@@ -1,0 +1,152 @@
+//! Steps of jobs: whose turn is next, and how a lease begins and ends.
+
+use deadpool_postgres::Transaction;
+use tokio_postgres::Row;
+
+use super::rows::{self, COLUMNS, change, collect, small};
+use super::trouble::Failed;
+use crate::columns::{failure_text, integer};
+use crate::record::{Failure, State, Time};
+use crate::records::{Lapsed, Lease, Step};
+
+/// Of the job that a lease is on: `$1` is its name, `$2` the attempt.
+pub(super) const HELD: &str = "id = $1 AND claims = $2 AND state = 'running' AND worker IS NOT NULL";
+/// Of the tile that a lease is on: the same.
+pub(super) const TILE_HELD: &str = "job = $1 AND claims = $2 AND state = 'running'";
+/// Of the job of such a tile.
+pub(super) const BY_TILE: &str = "id = $1 AND state = 'running' AND EXISTS (SELECT FROM tiles \
+                       WHERE job = $1 AND tiles.claims = $2 AND tiles.state = 'running')";
+
+pub(super) const FREE: &str = "worker = NULL, until = NULL";
+
+/// A job that has tiles is running all the while.
+const WAITS: &str = "waits = true, state = CASE WHEN tiles IS NULL THEN 'queued' ELSE 'running' END";
+
+/// `$3` is the time, `$4` the failure.
+pub(super) const FAILED: &str = "state = 'failed', finished = $3, failure = $4, waits = false, \
+                      bytes = row_bytes + octet_length($4::text)";
+
+/// Bytes that the row of a tile takes, about.
+pub(super) const TILE_ROW: u64 = 256;
+
+/// A turn after the clock and all of a client's.
+pub(super) fn next_turn(client: &str) -> String {
+    format!(
+        "1 + greatest((SELECT clock FROM totals), (SELECT coalesce(max(turn), 0) FROM jobs \
+         WHERE client = {client} AND state IN ('queued', 'running')))"
+    )
+}
+
+/// The values that [`HELD`] and [`TILE_HELD`] ask for.
+pub(super) fn held(lease: &Lease) -> (&str, i64) {
+    (&lease.record.id, integer(lease.attempt))
+}
+
+/// Lets go of a step; false where its job is over by the step before.
+pub(super) async fn lapse(database: &Transaction<'_>, lapsed: &Lapsed, now: Time) -> Result<bool, Failed> {
+    let Lapsed { id, tile, attempts, again } = lapsed;
+    match (tile, again) {
+        (_, false) => {
+            let failure = failure_text(&Failure::GaveUp { attempts: *attempts, tile: *tile });
+            let sql = format!("UPDATE jobs SET {FAILED} WHERE id = $1 AND state = $2");
+            change(database, &sql, &[id, &State::Running.name(), &now, &failure]).await
+        }
+        (Some(tile), true) => {
+            let sql = format!("UPDATE tiles SET state = 'waiting', {FREE} WHERE job = $1 AND tile = $2");
+            let waits = change(database, &sql, &[id, &(*tile as i32)]).await?;
+            Ok(waits && wake(database, id).await?)
+        }
+        (None, true) => {
+            let sql = format!("UPDATE jobs SET {WAITS}, {FREE} WHERE id = $1");
+            change(database, &sql, &[id]).await
+        }
+    }
+}
+
+async fn wake(database: &Transaction<'_>, id: &str) -> Result<bool, Failed> {
+    change(database, "UPDATE jobs SET waits = true WHERE id = $1", &[&id]).await
+}
+
+/// Lets go of a step as if it had not been started.
+pub(super) async fn put_back(database: &Transaction<'_>, lease: &Lease) -> Result<bool, Failed> {
+    let (id, attempt) = held(lease);
+    if let Step::Tile(_) = lease.step {
+        let sql =
+            format!("UPDATE tiles SET state = 'waiting', attempts = attempts - 1, {FREE} WHERE {TILE_HELD}");
+        let put = change(database, &sql, &[&id, &attempt]).await?;
+        return Ok(put && wake(database, id).await?);
+    }
+    let sql = format!(
+        "UPDATE jobs SET {WAITS}, attempts = attempts - 1, \
+         started = CASE WHEN tiles IS NULL THEN NULL ELSE started END, {FREE} WHERE {HELD}"
+    );
+    change(database, &sql, &[&id, &attempt]).await
+}
+
+/// Lets the turn pass of a step that has been put back.
+pub(super) async fn pass(database: &Transaction<'_>, lease: &Lease) -> Result<(), Failed> {
+    let id = &lease.record.id;
+    if lease.step == Step::Whole {
+        let sql = "UPDATE jobs SET turn = jobs.turn + totals.clock + 1 - this.turn
+            FROM totals, (SELECT client, turn, number FROM jobs WHERE id = $1) AS this
+            WHERE jobs.client = this.client AND jobs.state = 'queued' AND jobs.number >= this.number";
+        change(database, sql, &[id]).await?;
+    } else {
+        let sql = format!("UPDATE jobs SET turn = {} WHERE id = $1", next_turn("$2"));
+        change(database, &sql, &[id, &lease.record.client]).await?;
+    }
+    Ok(())
+}
+
+/// The step whose turn it is, and its job.
+pub(super) async fn next(database: &Transaction<'_>) -> Result<Option<(String, Step)>, Failed> {
+    let sql = "SELECT id, tiles, (SELECT min(tile) FROM tiles WHERE state = 'waiting' AND job = id) \
+               FROM jobs WHERE waits ORDER BY turn, number LIMIT 1";
+    let step = |row: &Row| {
+        let (count, tile): (Option<i32>, Option<i32>) = (row.try_get(1)?, row.try_get(2)?);
+        let of_tiles = || tile.map(small).map_or(Step::Join, Step::Tile);
+        Ok((row.try_get(0)?, if count.is_none() { Step::Whole } else { of_tiles() }))
+    };
+    Ok(collect(database, sql, &[], step).await?.pop())
+}
+
+/// Gives a worker a job as a whole, or its tiles to join.
+pub(super) async fn start(
+    database: &Transaction<'_>,
+    id: &str,
+    step: Step,
+    worker: &str,
+    times: [Time; 2],
+) -> Result<Option<Lease>, Failed> {
+    let sql = format!(
+        "UPDATE jobs SET state = 'running', attempts = attempts + 1, \
+         started = CASE WHEN tiles IS NULL THEN $2 ELSE started END, \
+         claims = claims + 1, worker = $3, until = $4, waits = false WHERE id = $1 RETURNING {COLUMNS}, claims"
+    );
+    let [now, until] = times;
+    let lease = |row: &Row| rows::lease(row, step, worker, until);
+    Ok(collect(database, &sql, &[&id, &now, &worker, &until], lease).await?.pop())
+}
+
+/// Gives a worker a tile, and its job the next turn.
+pub(super) async fn start_tile(
+    database: &Transaction<'_>,
+    id: &str,
+    tile: u32,
+    worker: &str,
+    until: Time,
+) -> Result<Option<Lease>, Failed> {
+    // The clock goes on by its turn, which then is another.
+    let sql = format!(
+        "UPDATE jobs SET state = state, claims = claims + 1 WHERE id = $1 RETURNING {COLUMNS}, claims"
+    );
+    let lease = |row: &Row| rows::lease(row, Step::Tile(tile), worker, until);
+    let Some(lease) = collect(database, &sql, &[&id], lease).await?.pop() else { return Ok(None) };
+    let sql = "UPDATE tiles SET state = 'running', attempts = attempts + 1, claims = $3, worker = $4, until = $5 \
+               WHERE job = $1 AND tile = $2";
+    change(database, sql, &[&id, &(tile as i32), &integer(lease.attempt), &worker, &until]).await?;
+    let waits = "EXISTS (SELECT FROM tiles WHERE job = $1 AND state = 'waiting')";
+    let sql = format!("UPDATE jobs SET waits = {waits}, turn = {} WHERE id = $1", next_turn("$2"));
+    change(database, &sql, &[&id, &lease.record.client]).await?;
+    Ok(Some(lease))
+}
