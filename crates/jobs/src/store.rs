@@ -20,7 +20,7 @@ use crate::counted::{Counted, Traffic};
 use crate::error::StoreError;
 use crate::record::{Draft, Failure, Record, ResultFile, State, Time};
 use crate::records::{
-    Admitted, Bounds, Forgotten, Lapsed, Lease, Load, Promised, Records, Step, Submitted, Waiting,
+    Admitted, Bounds, Change, Forgotten, Lapsed, Lease, Load, Promised, Records, Step, Submitted, Waiting,
 };
 use crate::sqlite::Sqlite;
 
@@ -229,6 +229,11 @@ impl Store {
     /// What the database says.
     pub fn counts(&self) -> Result<[(State, u64); 5], StoreError> {
         self.records.counts()
+    }
+
+    /// See [`Records::listen`].
+    pub(crate) fn listen(&self, wake: Arc<dyn Fn(Change) + Send + Sync>) {
+        self.records.listen(wake);
     }
 
     /// See [`Records::waiting`].

@@ -14,7 +14,7 @@ use tokio::sync::watch;
 use crate::clock::{Clock, SystemClock};
 use crate::error::StoreError;
 use crate::record::{Draft, Failure, Record, ResultFile, Time};
-use crate::records::{Lease, Step, Submitted};
+use crate::records::{Change, Lease, Step, Submitted};
 use crate::settings::{Keeping, Settings};
 use crate::shared;
 use crate::store::{Input, Store};
@@ -177,9 +177,31 @@ impl Jobs {
             let thread = named(format!("densecloud-stored-{i}")).spawn(move || jobs.work(&worker, &*work))?;
             running.threads.push(thread);
         }
+        let jobs = Arc::downgrade(self);
+        self.store.listen(Arc::new(move |change| {
+            jobs.upgrade().into_iter().for_each(|jobs| jobs.hear(&change));
+        }));
         let jobs = Arc::clone(self);
         running.threads.push(named("densecloud-upkeep".to_owned()).spawn(move || jobs.keep_up())?);
         Ok(())
+    }
+
+    /// Another process changed something, or this one.
+    fn hear(&self, change: &Change) {
+        let mut running = self.lock();
+        match change {
+            Change::Waits => self.queued.notify_all(),
+            Change::Over(id) => {
+                // Its leases are looked at now.
+                for (_, run) in running.tasks.iter_mut().filter(|((job, _), _)| job == id) {
+                    run.lease.until = Time::MIN;
+                    self.stopped.notify_all();
+                }
+            }
+            Change::Other => {}
+        }
+        drop(running);
+        self.changes.send_replace(());
     }
 
     /// Keeps a job; see [`Store::insert`].

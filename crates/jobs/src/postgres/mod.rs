@@ -8,12 +8,14 @@
 //! | `happened` | whether a change was kept of which nobody heard |
 //! | `schema` | the tables, and how those of earlier versions become them |
 //! | `rows`, `steps` | rows as values; steps of jobs |
+//! | `kinds` | programs of several versions or models side by side |
 //! | `clock`, `listen` | the database's time, and what it tells |
 
 mod address;
 mod clock;
 mod connection;
 mod happened;
+mod kinds;
 mod listen;
 mod password;
 mod rows;
@@ -33,7 +35,7 @@ use crate::columns::{failure_text, integer, natural, result_text};
 use crate::error::StoreError;
 use crate::record::{Draft, Failure, NewJob, Record, ResultFile, State, Time};
 use crate::records::{
-    Admitted, Bounds, Change, Forgotten, Lapsed, Lease, Load, Promised, Records, Step, Submitted,
+    Admitted, Bounds, Change, Forgotten, Lapsed, Lease, Load, Promised, Records, Step, Submitted, Waiting,
 };
 pub use address::{Address, AddressError};
 pub use connection::Limits;
@@ -54,11 +56,13 @@ use trouble::Failed;
 /// which most of them change anyway. So turns and limits are as exact as in one program, and nothing waits in a circle.
 pub struct Postgres {
     database: Database,
+    kind: String,
     bounds: Bounds,
 }
 
 impl Postgres {
-    /// Connects, makes the tables where there are none, and brings older ones up to date.
+    /// Connects, makes the tables where there are none, and brings older ones up to date. Programs of a kind give the same
+    /// bytes: what comes to one of them is done by those alone.
     ///
     /// # Errors
     /// [`StoreError::Version`], or what the database says, or the system.
@@ -66,13 +70,14 @@ impl Postgres {
         address: &Address,
         password: Option<&Password>,
         limits: Limits,
+        kind: &str,
         bounds: Bounds,
     ) -> Result<Self, StoreError> {
         let database = Database::new(address, password, limits)?;
         database.prepare(async |transaction| schema::migrate(transaction, &address.schema).await)?;
         // The time, and whether there is the right to change anything.
         database.write(async |_, _| Ok(()))?;
-        Ok(Self { database, bounds })
+        Ok(Self { database, kind: kind.to_owned(), bounds })
     }
 
     /// The database's clock, by which leases go: it is the same for all machines.
@@ -122,12 +127,18 @@ impl Postgres {
         Ok(())
     }
 
-    async fn put(database: &Transaction<'_>, id: &str, draft: &Draft, now: Time) -> Result<Record, Failed> {
+    async fn put(
+        &self,
+        database: &Transaction<'_>,
+        id: &str,
+        draft: &Draft,
+        now: Time,
+    ) -> Result<Record, Failed> {
         let job = &draft.job;
         let sql = format!(
             "INSERT INTO jobs (id, state, request, owner, client, key, fingerprint, request_id, points_in, \
-             points_out, row_bytes, bytes, created, turn) \
-             VALUES ($1, 'queued', $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, $12, {}) RETURNING {COLUMNS}",
+             points_out, row_bytes, bytes, created, kind, turn) \
+             VALUES ($1, 'queued', $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, $12, $13, {}) RETURNING {COLUMNS}",
             next_turn("$4")
         );
         let (points_in, points_out) = (integer(job.points_in), integer(job.points_out));
@@ -149,6 +160,7 @@ impl Postgres {
                 &row_bytes,
                 &bytes,
                 &now,
+                &self.kind,
             ],
             record,
         )
@@ -197,13 +209,13 @@ impl Records for Postgres {
             if let Some(known) = self.known(database, draft).await? {
                 return Ok(Submitted::Known(known));
             }
-            Self::put(database, id, draft, now).await.map(Submitted::New)
+            self.put(database, id, draft, now).await.map(Submitted::New)
         })
     }
 
     // A lease that nobody heard of runs out.
     fn claim(&self, worker: &str, now: Time, until: Time) -> Result<Option<Lease>, StoreError> {
-        self.database.write_once(async |database| match next(database).await? {
+        self.database.write_once(async |database| match next(database, &self.kind).await? {
             None => Ok(None),
             Some((id, Step::Tile(tile))) => start_tile(database, &id, tile, worker, until).await,
             Some((id, step)) => start(database, &id, step, worker, [now, until]).await,
@@ -381,12 +393,31 @@ impl Records for Postgres {
         Ok(State::ALL.map(|state| (state, count(state))))
     }
 
+    fn waiting(&self) -> Result<Waiting, StoreError> {
+        let sql = "SELECT count(*) FILTER (WHERE tiles IS NULL), \
+                   (SELECT count(*) FROM tiles WHERE state = 'waiting'), \
+                   count(*) FILTER (WHERE tiles_done = tiles), \
+                   min(created) FILTER (WHERE tiles IS NULL), \
+                   (SELECT count(*) FROM processes WHERE seen > $1) FROM jobs WHERE waits";
+        let read = |row: &Row| {
+            let number = |column: usize| row.try_get(column).map(natural);
+            let (whole, tiles, joins) = (number(0)?, number(1)?, number(2)?);
+            Ok(Waiting { whole, tiles, joins, oldest: row.try_get(3)?, processes: number(4)? })
+        };
+        let late = self.database.clock.now().saturating_sub(kinds::LATE);
+        self.database.read(async |database| one(database, sql, &[&late], read).await)
+    }
+
     fn load(&self, client: &str) -> Result<Load, StoreError> {
         self.database.read(async |database| load(database, client).await)
     }
 
     fn used(&self) -> Result<u64, StoreError> {
         self.database.read(async |database| used(database).await)
+    }
+
+    fn attend(&self, process: &str, now: Time) -> Result<Vec<String>, StoreError> {
+        self.database.write(async |database, _| kinds::attend(database, process, &self.kind, now).await)
     }
 
     fn promised(&self) -> Result<Vec<Promised>, StoreError> {

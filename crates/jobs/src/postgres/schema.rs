@@ -24,7 +24,7 @@ const VERSIONS: &str = "CREATE TABLE version (version BIGINT NOT NULL, oldest BI
     INSERT INTO version VALUES (0, 0)";
 
 // As the schema of SQLite: the totals, one row, are kept by triggers, and whoever changes a job has locked them before.
-// Rows of tiles are those of jobs that are not over. What concerns others is told to them when it is kept.
+// Rows of tiles are those of jobs that are not over. A job is done by programs of its kind alone. What concerns others is told to them when it is kept.
 const FIRST: &str = "
     CREATE TABLE jobs (
         number BIGINT GENERATED ALWAYS AS IDENTITY PRIMARY KEY,
@@ -57,9 +57,10 @@ const FIRST: &str = "
         tiles_done INTEGER NOT NULL DEFAULT 0,
         points_done BIGINT NOT NULL DEFAULT 0,
         tile_bytes BIGINT NOT NULL DEFAULT 0,
+        kind TEXT NOT NULL,
         UNIQUE (owner, key)
     );
-    CREATE INDEX jobs_that_wait ON jobs (turn, number) WHERE waits;
+    CREATE INDEX jobs_that_wait ON jobs (kind, turn, number) WHERE waits;
     CREATE INDEX jobs_that_run ON jobs (until) WHERE state = 'running';
     CREATE INDEX jobs_by_end ON jobs (finished);
     CREATE INDEX jobs_by_client ON jobs (client, turn) WHERE state IN ('queued', 'running');
@@ -77,6 +78,7 @@ const FIRST: &str = "
     );
     CREATE INDEX tiles_that_wait ON tiles (job, tile) WHERE state = 'waiting';
     CREATE INDEX tiles_that_run ON tiles (until) WHERE state = 'running';
+    CREATE TABLE processes (name TEXT PRIMARY KEY, kind TEXT NOT NULL, seen BIGINT NOT NULL);
     CREATE TABLE totals (used BIGINT NOT NULL, clock BIGINT NOT NULL);
     INSERT INTO totals VALUES (0, 0);
 

@@ -98,16 +98,16 @@ pub(super) async fn pass(database: &Transaction<'_>, lease: &Lease) -> Result<()
     Ok(())
 }
 
-/// The step whose turn it is, and its job.
-pub(super) async fn next(database: &Transaction<'_>) -> Result<Option<(String, Step)>, Failed> {
+/// The step of a kind whose turn it is, and its job.
+pub(super) async fn next(database: &Transaction<'_>, kind: &str) -> Result<Option<(String, Step)>, Failed> {
     let sql = "SELECT id, tiles, (SELECT min(tile) FROM tiles WHERE state = 'waiting' AND job = id) \
-               FROM jobs WHERE waits ORDER BY turn, number LIMIT 1";
+               FROM jobs WHERE waits AND kind = $1 ORDER BY turn, number LIMIT 1";
     let step = |row: &Row| {
         let (count, tile): (Option<i32>, Option<i32>) = (row.try_get(1)?, row.try_get(2)?);
         let of_tiles = || tile.map(small).map_or(Step::Join, Step::Tile);
         Ok((row.try_get(0)?, if count.is_none() { Step::Whole } else { of_tiles() }))
     };
-    Ok(collect(database, sql, &[], step).await?.pop())
+    Ok(collect(database, sql, &[&kind], step).await?.pop())
 }
 
 /// Gives a worker a job as a whole, or its tiles to join.

@@ -83,7 +83,7 @@ impl Bench {
                 let (address, password) = address(&self.schema());
                 let limits = Limits { connections: 4, ..Limits::default() };
                 std::sync::Arc::new(
-                    Postgres::open(&address, Some(&password), limits, bounds).expect("a database"),
+                    Postgres::open(&address, Some(&password), limits, "kind", bounds).expect("a database"),
                 )
             }
         }
