@@ -229,16 +229,17 @@ impl Database {
     }
 
     /// Makes sure of the tables; nobody else works with them so far.
-    pub(super) fn prepare(
+    pub(super) fn prepare<T>(
         &self,
-        change: impl AsyncFn(&Transaction<'_>) -> Result<(), Failed>,
-    ) -> Result<(), StoreError> {
+        change: impl AsyncFn(&Transaction<'_>) -> Result<T, Failed>,
+    ) -> Result<T, StoreError> {
         self.within(&Cell::new(Stage::Open), async |_| {
             let mut client = self.client().await?;
             let changed = async {
                 let transaction = client.get().transaction().await?;
-                change(&transaction).await?;
-                Ok(transaction.commit().await?)
+                let value = change(&transaction).await?;
+                transaction.commit().await?;
+                Ok(value)
             }
             .await;
             client.give_back(changed)

@@ -74,7 +74,10 @@ impl Postgres {
         bounds: Bounds,
     ) -> Result<Self, StoreError> {
         let database = Database::new(address, password, limits)?;
-        database.prepare(async |transaction| schema::migrate(transaction, &address.schema).await)?;
+        let schema = &address.schema;
+        if !database.prepare(async |transaction| schema::is_current(transaction, schema).await)? {
+            database.prepare(async |transaction| schema::migrate(transaction, schema).await)?;
+        }
         // The time, and whether there is the right to change anything.
         database.write(async |_, _| Ok(()))?;
         Ok(Self { database, kind: kind.to_owned(), bounds })
@@ -86,13 +89,11 @@ impl Postgres {
         Arc::clone(&self.database.clock) as Arc<dyn Clock>
     }
 
-    /// Removes a schema, and all that is in it.
+    /// Has a database do statements.
     #[cfg(test)]
-    pub(crate) fn erase(schema: &str) {
-        let (address, password) = crate::tests::engine::address(schema);
-        let database = Database::new(&address, Some(&password), Limits::default()).expect("threads");
-        let drop = format!("DROP SCHEMA IF EXISTS {schema} CASCADE");
-        database.prepare(async |transaction| Ok(transaction.batch_execute(&drop).await?)).expect("no fault");
+    pub(crate) fn execute(address: &Address, password: &Password, sql: &str) -> Result<(), StoreError> {
+        let database = Database::new(address, Some(password), Limits::default())?;
+        database.prepare(async |transaction| Ok(transaction.batch_execute(sql).await?))
     }
 
     /// The job that this request made earlier, or none where there is room for a new one.

@@ -124,18 +124,22 @@ const FIRST: &str = "
     CREATE TRIGGER jobs_tell AFTER UPDATE OF state, waits, tiles_done ON jobs FOR EACH ROW
         EXECUTE FUNCTION jobs_tell();";
 
-/// Makes the tables where there are none, and brings older ones up to date. One process does so at a time; where
-/// nothing is to be done, the right to read is enough.
+/// Whether nothing is to be done: to see that, the right to read is enough.
 ///
 /// # Errors
 /// [`StoreError::Version`], or what the database says.
+pub(super) async fn is_current(transaction: &Transaction<'_>, schema: &str) -> Result<bool, Failed> {
+    Ok(version(transaction, schema).await?.is_some_and(|found| found >= VERSION))
+}
+
+/// Makes the tables where there are none, and brings older ones up to date. One process does so at a time. Nothing may have
+/// been asked in this transaction before: the server remembers what it did not find until it next takes a lock.
+///
+/// # Errors
+/// As [`is_current`].
 pub(super) async fn migrate(transaction: &Transaction<'_>, schema: &str) -> Result<(), Failed> {
-    if version(transaction, schema).await? == Some(VERSION) {
-        return Ok(());
-    }
     let lock = "SELECT pg_advisory_xact_lock(hashtextextended('densecloud ' || $1, 0))";
     transaction.execute(lock, &[&schema]).await?;
-    // Another may have done it meanwhile.
     let found = match version(transaction, schema).await? {
         Some(found) => found,
         None => {
@@ -158,9 +162,9 @@ pub(super) async fn migrate(transaction: &Transaction<'_>, schema: &str) -> Resu
 
 /// None where there are no tables.
 async fn version(transaction: &Transaction<'_>, schema: &str) -> Result<Option<i64>, Failed> {
-    let table = format!("{schema}.version");
-    let there = transaction.query_one("SELECT to_regclass($1) IS NOT NULL", &[&table]).await?;
-    if !there.try_get::<_, bool>(0)? {
+    let there = "SELECT FROM pg_class JOIN pg_namespace ON pg_namespace.oid = relnamespace \
+                 WHERE nspname = $1 AND relname = 'version'";
+    if transaction.query_opt(there, &[&schema]).await?.is_none() {
         return Ok(None);
     }
     let row = transaction.query_one("SELECT version, oldest FROM version", &[]).await?;

@@ -1,6 +1,8 @@
 //! What the tests keep jobs in: each test runs over all of them.
 
 use std::ops::Deref;
+use std::sync::Arc;
+use std::time::Duration;
 
 use tempfile::TempDir;
 
@@ -55,14 +57,15 @@ pub(super) struct Bench {
 }
 
 /// Of the server that `scripts/with-services.sh` starts, and a schema of it.
-pub(crate) fn address(schema: &str) -> (Address, Password) {
+fn address(schema: &str) -> (String, Password) {
     let set = |name| {
         std::env::var(name).unwrap_or_else(|_| {
-        panic!("{name} is not set: run this by `sh scripts/with-services.sh cargo test … -- --include-ignored`")
-    })
+            panic!(
+                "{name} is not set: run this by `sh scripts/with-services.sh cargo test … -- --include-ignored`"
+            )
+        })
     };
-    let address = format!("{}&schema={schema}", set("DENSECLOUD_TEST_POSTGRES"));
-    (Address::parse(&address).expect("an address"), set("PGPASSWORD").into())
+    (format!("{}&schema={schema}", set("DENSECLOUD_TEST_POSTGRES")), set("PGPASSWORD").into())
 }
 
 impl Bench {
@@ -71,22 +74,42 @@ impl Bench {
     }
 
     /// Of small letters, since Postgres knows no others without quotes.
-    fn schema(&self) -> String {
+    pub(super) fn schema(&self) -> String {
         format!("test{}", hex::encode(self.path().file_name().expect("a name").as_encoded_bytes()))
     }
 
     /// Records that are there, or new ones.
-    pub(super) fn records(&self, bounds: Bounds) -> std::sync::Arc<dyn Records> {
+    pub(super) fn records(&self, bounds: Bounds) -> Arc<dyn Records> {
         match self.engine {
-            Engine::Sqlite => std::sync::Arc::new(Sqlite::open(self.path(), bounds).expect("a database")),
-            Engine::Postgres => {
-                let (address, password) = address(&self.schema());
-                let limits = Limits { connections: 4, ..Limits::default() };
-                std::sync::Arc::new(
-                    Postgres::open(&address, Some(&password), limits, "kind", bounds).expect("a database"),
-                )
-            }
+            Engine::Sqlite => Arc::new(Sqlite::open(self.path(), bounds).expect("a database")),
+            Engine::Postgres => Arc::new(self.postgres(self.port(), "kind", bounds)),
         }
+    }
+
+    /// Records in Postgres, of programs of a kind that ask for it at this port.
+    pub(super) fn postgres(&self, port: u16, kind: &str, bounds: Bounds) -> Postgres {
+        let (address, password) = self.address(port);
+        let limits = Limits { connections: 4, deadline: Duration::from_secs(3) };
+        Postgres::open(&address, Some(&password), limits, kind, bounds).expect("a database")
+    }
+
+    pub(super) fn address(&self, port: u16) -> (Address, Password) {
+        let (text, password) = address(&self.schema());
+        let other = text.replace(&format!(":{}/", self.port()), &format!(":{port}/"));
+        (Address::parse(&other).expect("an address"), password)
+    }
+
+    /// Of the server.
+    pub(super) fn port(&self) -> u16 {
+        let (text, _) = address(&self.schema());
+        let (_, rest) = text.rsplit_once(':').expect("a port");
+        rest.split('/').next().expect("a port").parse().expect("a port")
+    }
+
+    /// Has Postgres do statements, in this bench's schema.
+    pub(super) fn execute(&self, sql: &str) -> Result<(), StoreError> {
+        let (address, password) = self.address(self.port());
+        Postgres::execute(&address, &password, sql)
     }
 
     /// A store by itself, as after a start.
@@ -95,14 +118,14 @@ impl Bench {
             Engine::Sqlite => Store::open(self.path(), bounds, now).expect("a store"),
             Engine::Postgres => {
                 let files = Folder::open(self.path().join("files")).expect("a folder");
-                Store::alone(self.records(bounds), std::sync::Arc::new(files), now).expect("a store")
+                Store::alone(self.records(bounds), Arc::new(files), now).expect("a store")
             }
         }
     }
 
     pub(super) fn jobs(&self, settings: Settings) -> Jobs {
         let store = self.store(settings.bounds(), SystemClock.now());
-        Jobs::new(store, settings, std::sync::Arc::new(SystemClock))
+        Jobs::new(store, settings, Arc::new(SystemClock))
     }
 }
 
@@ -117,7 +140,8 @@ impl Deref for Bench {
 impl Drop for Bench {
     fn drop(&mut self) {
         if self.engine == Engine::Postgres {
-            Postgres::erase(&self.schema());
+            let erased = self.execute(&format!("DROP SCHEMA IF EXISTS {} CASCADE", self.schema()));
+            assert!(erased.is_ok() || std::thread::panicking(), "{erased:?}");
         }
     }
 }

@@ -1,8 +1,11 @@
 //! The store: its rules one by one, and what its tests share.
 
-pub(crate) mod engine;
+mod engine;
+mod faults;
+mod fleet;
 mod migrations;
 mod model;
+mod proxy;
 mod records;
 mod tiles;
 mod worker;

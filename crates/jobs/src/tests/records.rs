@@ -30,7 +30,7 @@ over_each_engine!(|bench| &*bench.records(BOUNDS) =>
     a_job_whose_tiles_are_of_no_use_begins_anew,
 );
 
-fn try_put(records: &dyn Records, job: &NewJob, now: Time) -> Result<Submitted, StoreError> {
+pub(super) fn try_put(records: &dyn Records, job: &NewJob, now: Time) -> Result<Submitted, StoreError> {
     let draft = Draft::new(job.clone()).expect("a draft");
     match records.admit(&draft)? {
         Admitted::Known(record) => Ok(Submitted::Known(*record)),
