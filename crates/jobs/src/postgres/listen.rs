@@ -10,6 +10,7 @@ use tokio::task::{JoinSet, spawn_blocking};
 use tokio::time::{sleep, timeout};
 
 use super::connection::{Connector, Database};
+use super::trouble::whole;
 use crate::records::Change;
 
 type Wake = Arc<dyn Fn(Change) + Send + Sync>;
@@ -27,7 +28,10 @@ pub(super) fn start(database: &Database, wake: Wake) {
         loop {
             let mut heard = false;
             if let Err(error) = listen(&connector, &wake, &mut heard).await {
-                tracing::warn!(%error, "the database tells nothing; it is asked now and then");
+                tracing::warn!(
+                    error = whole(&*error),
+                    "the database tells nothing; it is asked now and then"
+                );
             }
             pause = if heard { PAUSES[0] } else { PAUSES[1].min(2 * pause) };
             sleep(pause).await;

@@ -75,5 +75,16 @@ fn gone(code: &SqlState) -> bool {
 }
 
 pub(super) fn failed(error: Error) -> StoreError {
-    StoreError::Database { trouble: trouble(&error), source: error.into() }
+    StoreError::Database { trouble: trouble(&error), source: whole(&error).into() }
+}
+
+/// What an error says, with all that is behind it: the library's tell of themselves alone.
+pub(super) fn whole(error: &dyn std::error::Error) -> String {
+    let mut text = error.to_string();
+    let mut next = error.source();
+    while let Some(cause) = next {
+        text = format!("{text}: {cause}");
+        next = cause.source();
+    }
+    text
 }

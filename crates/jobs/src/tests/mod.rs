@@ -7,6 +7,8 @@ mod migrations;
 mod model;
 mod proxy;
 mod records;
+#[cfg(target_os = "linux")]
+mod server;
 mod tiles;
 mod worker;
 
