@@ -3,7 +3,10 @@
 use std::cell::Cell;
 use std::future::poll_fn;
 use std::io;
+use std::pin::pin;
 use std::sync::Arc;
+use std::task::{Context, Poll, Wake};
+use std::thread::{self, Thread};
 use std::time::Duration;
 
 use deadpool_postgres::{
@@ -13,7 +16,7 @@ use deadpool_postgres::{
 use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::runtime::{Builder, Handle, Runtime};
 use tokio::sync::mpsc::UnboundedSender;
-use tokio::task::JoinSet;
+use tokio::task::{JoinSet, unconstrained};
 use tokio::time::{Instant, sleep, timeout_at};
 use tokio_postgres::{AsyncMessage, Connection, NoTls};
 use tokio_postgres_rustls::MakeRustlsConnect;
@@ -273,7 +276,10 @@ impl Database {
             }
             unreachable!("it counts to the last attempt")
         };
-        let answer = self.runtime().block_on(async { timeout_at(Instant::now() + self.deadline, all).await });
+        let answer = {
+            let _context = self.runtime().enter();
+            wait(timeout_at(Instant::now() + self.deadline, all))
+        };
         let unknown = kept.get() || stage.get() == Stage::Keeping;
         match answer {
             Ok(Err(StoreError::Database { trouble: Trouble::Away, source })) if unknown => {
@@ -294,6 +300,26 @@ impl Database {
             }
             Err(error) => Err(Failed::Refused(away(error))),
         }
+    }
+}
+
+/// Waits on this thread, whatever it is: a runtime's own wait refuses to where another runtime's work is done.
+fn wait<T>(future: impl Future<Output = T>) -> T {
+    struct Parked(Thread);
+    impl Wake for Parked {
+        fn wake(self: Arc<Self>) {
+            self.0.unpark();
+        }
+    }
+    let waker = Arc::new(Parked(thread::current())).into();
+    let mut context = Context::from_waker(&waker);
+    // Whose turn it is in that runtime is not ours to keep to.
+    let mut future = pin!(unconstrained(future));
+    loop {
+        if let Poll::Ready(value) = future.as_mut().poll(&mut context) {
+            return value;
+        }
+        thread::park();
     }
 }
 

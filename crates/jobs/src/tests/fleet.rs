@@ -188,3 +188,19 @@ fn tables_are_made_once_and_later_ones_are_left_or_refused() {
     let told = format!("{:?} {}", wrong, wrong.as_ref().expect_err("no such password"));
     assert!(!told.contains("secret"), "{told}");
 }
+
+#[test]
+#[ignore = "needs scripts/with-services.sh"]
+fn words_are_said_and_records_dropped_on_whatever_thread() {
+    let bench = Bench::of(Engine::Postgres);
+    for runtime in
+        [tokio::runtime::Builder::new_current_thread(), tokio::runtime::Builder::new_multi_thread()]
+    {
+        let said = { runtime }.enable_all().build().expect("threads").block_on(async {
+            // More than a task of a runtime may do at once.
+            let records = bench.records(MANY);
+            (0..200).map(|_| records.used().expect("a sum")).sum::<u64>()
+        });
+        assert_eq!(said, 0);
+    }
+}
