@@ -24,8 +24,8 @@ test-python: venv
 lint: venv
 	cargo fmt --check
 	cargo clippy --workspace --all-targets -- -D warnings
-	.venv/bin/python -m ruff check training tests/interop benches
-	.venv/bin/python -m ruff format --check training tests/interop benches
+	.venv/bin/python -m ruff check training tests/interop tests/ray deploy/ray benches
+	.venv/bin/python -m ruff format --check training tests/interop tests/ray deploy/ray benches
 
 docs:
 	RUSTDOCFLAGS="-D warnings" cargo doc --workspace --no-deps
@@ -41,4 +41,4 @@ venv:
 
 clean:
 	cargo clean
-	rm -rf out .venv .venv-interop vendor
+	rm -rf out .venv .venv-interop .venv-ray vendor

@@ -1,6 +1,6 @@
 """An S3 in memory (moto) for tests: tells its endpoint in a file once the bucket is there, and stays until it is ended.
 
-    python scripts/s3_stand_in.py FILE BUCKET
+python scripts/s3_stand_in.py FILE BUCKET
 """
 
 import pathlib

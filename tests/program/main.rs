@@ -1,5 +1,7 @@
 //! `densecloud serve` as a process, with the model inside it and clients from elsewhere.
 
+mod addresses;
+mod batch;
 mod command;
 mod doors;
 mod faults;

@@ -47,6 +47,12 @@ fn the_steps_give_what_the_command_gives() {
     assert!(joined.status.success(), "{joined:?}");
     let read = |name: &str| std::fs::read(path(name)).expect("a file");
     assert!(read("joined.laz") == read("plain.laz"));
+    std::fs::write(path("work/mine"), "a file").expect("a file");
+    assert!(run(&["tiles", "remove", &path("work")]).status.success());
+    assert_eq!((entries(&folder.path().join("work")), read("work/mine")), (1, b"a file".to_vec()));
+    let none = run(&["tiles", "remove", &path("work")]);
+    assert_eq!(none.status.code(), Some(1), "{none:?}");
+    assert!(String::from_utf8_lossy(&none.stderr).contains("no tiles are planned there"), "{none:?}");
 }
 
 #[test]

@@ -73,7 +73,7 @@ pub struct Listed {
 }
 
 /// A blob that is being written. Nobody sees it before [`BlobWriter::finish`]; dropped before, it leaves nothing.
-pub trait BlobWriter: Write {
+pub trait BlobWriter: Write + Send {
     /// Brings the blob to durable storage under its name: it is there whole, whatever happens after this returns.
     ///
     /// # Errors

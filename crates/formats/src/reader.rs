@@ -176,6 +176,14 @@ impl<'r> CloudReader<'r> {
         CloudReader::open_input(input, Limits::default(), reading, Some(path))
     }
 
+    /// As [`open_path`](Self::open_path), of a file of this name that lies elsewhere.
+    ///
+    /// # Errors
+    /// As [`open_as`](Self::open_as).
+    pub fn open_named(reader: impl Read + 'r, name: &Path, reading: &Reading) -> Result<Self, FormatError> {
+        Self::open_input(Input::Stream(Box::new(reader)), Limits::default(), reading, Some(name))
+    }
+
     /// As [`open_as`](Self::open_as), of a file of this name.
     fn open_input(
         input: Input<'r>,

@@ -173,6 +173,29 @@ impl Folder {
         }
     }
 
+    /// Removes what a plan and its parts are, and the folder where nothing else lies in it.
+    ///
+    /// # Errors
+    /// [`TilesError::File`].
+    pub fn remove_plan(self) -> Result<(), TilesError> {
+        // In this order, so that nobody goes on with what is half removed.
+        let files = [self.manifest(), self.origin(), self.example(), self.whole()];
+        let folders = ["spill", "own", "around", "parts"].map(|name| self.path().join(name));
+        let removed = files.iter().map(|file| (file, fs::remove_file(file)));
+        let removed = removed.chain(folders.iter().map(|folder| (folder, fs::remove_dir_all(folder))));
+        for (path, done) in removed {
+            match done {
+                Err(why) if why.kind() != std::io::ErrorKind::NotFound => {
+                    return Err(TilesError::File { path: path.clone(), why });
+                }
+                _ => {}
+            }
+        }
+        // What else lies there is its owner's.
+        let _ = fs::remove_dir(self.path());
+        Ok(())
+    }
+
     /// Removes all that lies in it, but for the lock.
     pub(crate) fn clear(&self) -> Result<(), TilesError> {
         clear(self.path())

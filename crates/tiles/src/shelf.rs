@@ -68,6 +68,18 @@ impl Shelf {
         self.put(&done(part), &folder.done(tile))
     }
 
+    /// Removes from a folder what [was made there](Self::get_tile) of a tile.
+    ///
+    /// # Errors
+    /// [`TilesError::File`].
+    pub fn drop_tile(&self, tile: u32, folder: &Folder) -> Result<(), TilesError> {
+        let files = [folder.own(tile), folder.around(tile)];
+        files.iter().try_for_each(|file| match std::fs::remove_file(file) {
+            Err(why) if why.kind() != io::ErrorKind::NotFound => Err(TilesError::file(file)(why)),
+            _ => Ok(()),
+        })
+    }
+
     /// A plan all tiles of which are done, with their parts under these names, in the order of the tiles.
     ///
     /// # Errors

@@ -25,7 +25,10 @@ impl CliError {
 
     /// An error about one file.
     pub(crate) fn file(path: impl AsRef<std::path::Path>, why: impl std::fmt::Display) -> Self {
-        Self::File { path: path.as_ref().display().to_string(), why: why.to_string() }
+        let (path, why) = (path.as_ref().display().to_string(), why.to_string());
+        // A store's error names the address by itself.
+        let why = why.strip_prefix(&format!("{path}: ")).unwrap_or(&why).to_owned();
+        Self::File { path, why }
     }
 
     /// The program's exit code.

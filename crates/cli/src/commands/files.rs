@@ -1,10 +1,12 @@
-//! Files and standard streams as the commands name them: `-` is a standard stream.
+//! Files, objects and standard streams as the commands name them: `-` is a standard stream.
 
 use std::fs::{self, File};
 use std::io::{self, BufReader, BufWriter, ErrorKind, Write};
 use std::path::{Path, PathBuf};
 
 use super::CliError;
+use super::places::Place;
+use densecloud_blobs::{Blobs, Objects};
 use densecloud_cloud::{Attribute, Cloud, Origin, Position};
 use densecloud_formats::{CloudReader, Format, Header, Limits, Reading, encode};
 use densecloud_geometry::check_count;
@@ -20,12 +22,18 @@ pub(super) fn beside(path: &Path, suffix: &str) -> PathBuf {
     name.into()
 }
 
-/// Opens a cloud, `-` from standard input, and reads its header.
+/// Opens a cloud, `-` from standard input, and reads its header. An object is read as it comes.
 pub(super) fn open(path: &Path, reading: &Reading) -> Result<CloudReader<'static>, CliError> {
-    let opened = if is_stream(path) {
-        CloudReader::open_as(BufReader::new(io::stdin().lock()), Limits::default(), reading)
-    } else {
-        CloudReader::open_path(path, reading)
+    if is_stream(path) {
+        let opened = CloudReader::open_as(BufReader::new(io::stdin().lock()), Limits::default(), reading);
+        return opened.map_err(|why| CliError::file(path, why));
+    }
+    let opened = match Place::of(path)? {
+        Place::Path(file) => CloudReader::open_path(&file, reading),
+        Place::Object(objects, name) => {
+            let object = objects.open(&name).map_err(|why| CliError::file(path, why))?;
+            CloudReader::open_named(object, name.as_ref(), reading)
+        }
     };
     opened.map_err(|why| CliError::file(path, why))
 }
@@ -84,15 +92,24 @@ enum Output {
     File(PathBuf),
     /// A device or a named pipe.
     Device,
+    /// An object of this name.
+    Object(Objects, String),
 }
 
 impl Output {
     /// Follows links: what is written is what they lead to, and they stay.
-    fn of(path: &Path) -> io::Result<Self> {
+    fn of(path: &Path) -> Result<Self, CliError> {
         // By its name, /dev/stdout is what it leads to; replaced as a file, that would lose what others wrote there.
         if is_stream(path) || path == Path::new("/dev/stdout") {
             return Ok(Self::Stdout);
         }
+        match Place::of(path)? {
+            Place::Object(objects, name) => Ok(Self::Object(objects, name)),
+            Place::Path(file) => Self::of_path(&file).map_err(|why| CliError::file(path, why)),
+        }
+    }
+
+    fn of_path(path: &Path) -> io::Result<Self> {
         match fs::metadata(path) {
             Ok(there) if there.is_dir() => return Err(ErrorKind::IsADirectory.into()),
             Ok(there) if !there.is_file() => return Ok(Self::Device),
@@ -108,13 +125,14 @@ impl Output {
     }
 }
 
-/// Whether an output is a file, which another one may lie beside.
+/// Whether an output is a file or an object, which another one may lie beside.
 pub(super) fn is_kept(path: &Path) -> bool {
-    matches!(Output::of(path), Ok(Output::File(_)))
+    matches!(Output::of(path), Ok(Output::File(_) | Output::Object(..)))
 }
 
 /// Writes an output with `encode`, `-` to standard output. A file is made beside its name and renamed, so that no
-/// failure leaves half a file under that name; a device or a named pipe is written to as it is.
+/// failure leaves half a file under that name, and an object is there when all of it is; a device or a named pipe is written to
+/// as it is.
 pub(super) fn write(
     path: &Path,
     encode: impl FnOnce(&mut (dyn Write + Send)) -> Result<(), Box<dyn std::error::Error>>,
@@ -124,9 +142,13 @@ pub(super) fn write(
         let mut sink = BufWriter::with_capacity(1 << 20, sink);
         encode(&mut sink).and_then(|()| Ok(sink.flush()?)).map_err(|why| CliError::file(path, why))
     };
-    let target = match Output::of(path).map_err(unmade)? {
+    let target = match Output::of(path)? {
         Output::Stdout => return through(&mut io::stdout()),
         Output::Device => return through(&mut File::options().write(true).open(path).map_err(unmade)?),
+        Output::Object(objects, name) => {
+            let mut object = objects.create(&name).map_err(unmade)?;
+            return through(&mut object).and_then(|()| object.finish().map_err(unmade));
+        }
         Output::File(target) => target,
     };
     let part = beside(&target, ".part");

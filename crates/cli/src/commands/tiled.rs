@@ -93,8 +93,8 @@ pub(super) fn failed(input: &Path, why: TilesError) -> CliError {
 
 /// An output's name, whatever folder a program is started in.
 fn absolute(output: &Path) -> String {
-    if files::is_stream(output) {
-        return "-".to_owned();
+    if let Some(name) = output.to_str().filter(|name| *name == "-" || name.contains("://")) {
+        return name.to_owned();
     }
     std::path::absolute(output).unwrap_or_else(|_| output.to_owned()).display().to_string()
 }

@@ -5,15 +5,16 @@ use std::path::{Path, PathBuf};
 use clap::{ArgGroup, Args, Subcommand};
 use densecloud::Options;
 use densecloud_formats::Format;
-use densecloud_tiles::{Folder, Input, TilesError, Tiling, Work, plan};
+use densecloud_tiles::{Folder, Input, TilesError, Tiling, plan};
 
 use super::engine_args::EngineArgs;
 use super::options::{GOALS, OptionArgs};
 use super::tile_args::{SizeArgs, temp_files_in};
 use super::tile_progress::TileProgress;
-use super::{CliError, files, tiled};
+use super::tiles_away::{AwayArgs, Work};
+use super::{CliError, files, places, tiled};
 
-/// Work on a large cloud in tiles, step by step: plan, run each, join.
+/// Work on a large cloud in tiles, step by step: plan, run each, join, remove.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Tiles are numbered from 0. Each is run alone, in any order and by any number of programs at once; whatever is run again gives
@@ -22,7 +23,10 @@ the same. `densecloud upsample` takes the same steps, in a temporary folder.
 Example:
   tiles=$(densecloud tiles plan scan.laz work --for dense.laz --ratio 4)
   seq 0 $((tiles - 1)) | xargs -P 2 -n 1 densecloud tiles run work
-  densecloud tiles join work dense.laz")]
+  densecloud tiles join work dense.laz
+  densecloud tiles remove work
+
+FOLDER, and the clouds, may be addresses as well (s3://bucket/path): docs/tiles.md.")]
 pub(super) struct TilesArgs {
     #[command(subcommand)]
     step: Step,
@@ -33,6 +37,7 @@ enum Step {
     Plan(Box<PlanArgs>),
     Run(RunArgs),
     Join(JoinArgs),
+    Remove(RemoveArgs),
 }
 
 /// Cut a cloud into tiles, and print how many there are
@@ -42,7 +47,7 @@ struct PlanArgs {
     /// The sparse cloud, as of `densecloud upsample`; `-` for standard input
     input: PathBuf,
 
-    /// A new or empty folder for the tiles
+    /// A new or empty folder for the tiles, or an address such as s3://bucket/work
     folder: PathBuf,
 
     /// The name that the result will have, for its format; without it, the input's format
@@ -55,6 +60,9 @@ struct PlanArgs {
     #[command(flatten)]
     size: SizeArgs,
 
+    #[command(flatten)]
+    away: AwayArgs,
+
     /// Say nothing but errors
     #[arg(short, long)]
     quiet: bool,
@@ -66,11 +74,14 @@ struct PlanArgs {
 /// Make the parts of tiles
 #[derive(Debug, Args)]
 struct RunArgs {
-    /// The folder in which they are planned
+    /// The folder in which they are planned, or its address
     folder: PathBuf,
 
     /// The numbers of the tiles; without any, all that are not done
     tiles: Vec<u32>,
+
+    #[command(flatten)]
+    away: AwayArgs,
 
     #[command(flatten)]
     engine: EngineArgs,
@@ -79,15 +90,28 @@ struct RunArgs {
 /// Join the parts of all tiles
 #[derive(Debug, Args)]
 struct JoinArgs {
-    /// The folder in which they lie
+    /// The folder in which they lie, or its address
     folder: PathBuf,
 
     /// The dense cloud, in the format that it was planned for; `-` for standard output
     output: PathBuf,
 
+    #[command(flatten)]
+    away: AwayArgs,
+
     /// Say nothing but errors
     #[arg(short, long)]
     quiet: bool,
+}
+
+/// Remove what was planned, and all parts
+#[derive(Debug, Args)]
+struct RemoveArgs {
+    /// The folder in which they lie, or its address; what else lies there stays
+    folder: PathBuf,
+
+    #[command(flatten)]
+    away: AwayArgs,
 }
 
 pub(super) fn run(args: &TilesArgs) -> Result<(), CliError> {
@@ -95,59 +119,100 @@ pub(super) fn run(args: &TilesArgs) -> Result<(), CliError> {
         Step::Plan(args) => plan_tiles(args),
         Step::Run(args) => run_tiles(args),
         Step::Join(args) => join_tiles(args),
+        Step::Remove(args) => remove_tiles(args),
     }
 }
 
 fn plan_tiles(args: &PlanArgs) -> Result<(), CliError> {
+    places::check(&[&args.input, args.name.as_deref().unwrap_or("-".as_ref())])?;
     let options = args.options.options()?;
     let format = match &args.name {
         Some(name) => files::wanted_from(&args.input, name, &options.reading)?,
         None => None,
     };
     let options = Options { format, ..options };
+    let tiles = match Work::at(&args.folder, &args.away)? {
+        Work::Here(path) => {
+            let folder = Folder::new(&path).map_err(|why| tiled::failed(&path, why))?;
+            planned(args, &options, &folder)?.len()
+        }
+        Work::Away(away) => {
+            away.check_free()?;
+            let tiling = planned(args, &options, away.folder())?;
+            let tiles = tiling.len();
+            away.put_plan(tiling)?;
+            tiles
+        }
+    };
+    files::print(&format!("{tiles}\n"))
+}
+
+/// Plans tiles in a folder.
+fn planned(args: &PlanArgs, options: &Options, folder: &Folder) -> Result<Tiling, CliError> {
     let fail = |why: TilesError| tiled::failed(&args.input, why);
-    let folder = Folder::new(&args.folder).map_err(fail)?;
-    temp_files_in(&args.folder)?;
+    temp_files_in(folder.path())?;
     let (model, progress) = (args.engine.model()?, TileProgress::new(args.quiet));
     let (name, runner) = (model.name(), args.engine.runner(model)?);
     let reader = files::open(&args.input, &options.reading)?;
-    let tile_points = args.size.points(&options, reader.header())?;
+    let tile_points = args.size.points(options, reader.header())?;
     // However few points there are, they are tiles here.
     let input = match Input::read(reader, 0).map_err(|why| CliError::file(&args.input, why))? {
         Input::Large(large) => *large,
         Input::Small(..) => return Err(CliError::file(&args.input, "there are no points")),
     };
-    let work = Work { options: &options, model: &name, runner: &*runner, tile_points, watch: &progress };
-    let tiling = plan(input, &work, &folder).map_err(fail)?;
+    let work =
+        densecloud_tiles::Work { options, model: &name, runner: &*runner, tile_points, watch: &progress };
+    let tiling = plan(input, &work, folder).map_err(fail)?;
     progress.finish();
     super::warn(&tiling.report().warnings, args.quiet);
-    files::print(&format!("{}\n", tiling.len()))
+    Ok(tiling)
 }
 
 fn run_tiles(args: &RunArgs) -> Result<(), CliError> {
     let fail = |why: TilesError| tiled::failed(&args.folder, why);
-    let folder = Folder::at(&args.folder);
-    let tiling = Tiling::load(&folder).map_err(fail)?;
+    let work = Work::at(&args.folder, &args.away)?;
+    let tiling = match &work {
+        Work::Here(path) => Tiling::load(&Folder::at(path)).map_err(fail)?,
+        Work::Away(away) => away.load()?,
+    };
     let model = args.engine.model()?;
     tiling.check(&model.name()).map_err(fail)?;
     let runner = args.engine.runner(model)?;
-    let tiles = if args.tiles.is_empty() { tiling.not_done().map_err(fail)? } else { args.tiles.clone() };
-    for tile in tiles {
-        tiling.run(tile, &*runner, &densecloud_cascade::Silent).map_err(fail)?;
-    }
-    Ok(())
+    let tiles = match &work {
+        _ if !args.tiles.is_empty() => args.tiles.clone(),
+        Work::Here(_) => tiling.not_done().map_err(fail)?,
+        Work::Away(away) => away.not_done(&tiling)?,
+    };
+    tiles.into_iter().try_for_each(|tile| match &work {
+        Work::Here(_) => tiling.run(tile, &*runner, &densecloud_cascade::Silent).map(drop).map_err(fail),
+        Work::Away(away) => away.run(&tiling, tile, &*runner),
+    })
 }
 
 fn join_tiles(args: &JoinArgs) -> Result<(), CliError> {
+    places::check(&[&args.output])?;
     let fail = |why: TilesError| tiled::failed(&args.folder, why);
-    let folder = Folder::at(&args.folder);
-    let tiling = Tiling::load(&folder).map_err(fail)?;
-    temp_files_in(&args.folder)?;
+    let work = Work::at(&args.folder, &args.away)?;
+    let (tiling, temp) = match &work {
+        Work::Here(path) => (Tiling::load(&Folder::at(path)).map_err(fail)?, path.as_path()),
+        Work::Away(away) => (away.with_parts()?, away.folder().path()),
+    };
+    temp_files_in(temp)?;
     check_name(&args.output, tiling.report().format)?;
     let join = tiling.join().map_err(fail)?;
     super::warn(&join.report().warnings[tiling.report().warnings.len()..], args.quiet);
     tiled::write(join, &args.output)?;
     Ok(())
+}
+
+fn remove_tiles(args: &RemoveArgs) -> Result<(), CliError> {
+    match Work::at(&args.folder, &args.away)? {
+        Work::Away(away) => away.remove(),
+        Work::Here(path) if !Folder::at(&path).has_plan() => {
+            Err(CliError::file(&path, "no tiles are planned there"))
+        }
+        Work::Here(path) => Folder::at(&path).remove_plan().map_err(|why| tiled::failed(&path, why)),
+    }
 }
 
 /// Refuses a name of another format than that of the result.

@@ -13,7 +13,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use super::engine_args::EngineArgs;
 use super::options::{GOALS, OptionArgs};
 use super::tile_args::TileArgs;
-use super::{CliError, files, tiled, upsample_remote};
+use super::{CliError, files, places, tiled, upsample_remote};
 
 /// Make a cloud denser.
 #[derive(Debug, Args)]
@@ -26,11 +26,11 @@ Examples:
   cat scan.ply | densecloud upsample - - --ratio 2.5 > dense.ply")]
 pub(super) struct UpsampleArgs {
     /// The sparse cloud: PLY, LAS, LAZ, COPC, E57, PCD, NumPy, OFF, OBJ or text, recognised by its content; `-` for
-    /// standard input
+    /// standard input, s3://bucket/name for an object
     pub(super) input: PathBuf,
 
     /// The dense cloud: .ply, .las, .laz, .copc.laz, .e57, .pcd, .npy or text such as .xyz (without an extension, and of
-    /// text with its own one: as the input); `-` for standard output
+    /// text with its own one: as the input); `-` for standard output, s3://bucket/name for an object
     pub(super) output: PathBuf,
 
     #[command(flatten)]
@@ -64,6 +64,7 @@ pub(super) struct UpsampleArgs {
 pub(super) const PROVENANCE: &str = ".provenance.txt";
 
 pub(super) fn run(args: &UpsampleArgs) -> Result<(), CliError> {
+    places::check(&[&args.input, &args.output])?;
     let options = args.options.options()?;
     let format = files::wanted_from(&args.input, &args.output, &options.reading)?;
     let options = Options { format, ..options };
