@@ -3,7 +3,7 @@
 PROGRAM = $(or $(CARGO_TARGET_DIR),target)/release/densecloud
 OUT = out/demo
 
-.PHONY: demo test test-rust test-python lint docs build onnxruntime venv clean
+.PHONY: demo cluster-demo test test-rust test-python lint docs build onnxruntime venv clean
 
 demo: build
 	mkdir -p $(OUT)
@@ -24,8 +24,12 @@ test-python: venv
 lint: venv
 	cargo fmt --check
 	cargo clippy --workspace --all-targets -- -D warnings
-	.venv/bin/python -m ruff check training tests/interop tests/ray deploy/ray benches
-	.venv/bin/python -m ruff format --check training tests/interop tests/ray deploy/ray benches
+	.venv/bin/python -m ruff check training tests/interop tests/ray tests/cluster deploy/ray benches
+	.venv/bin/python -m ruff format --check training tests/interop tests/ray tests/cluster deploy/ray benches
+
+# A fleet on this machine: Postgres, an S3, a server and three workers, one of which is killed on the way.
+cluster-demo: build venv
+	.venv/bin/python tests/cluster/demo.py --program $(PROGRAM)
 
 docs:
 	RUSTDOCFLAGS="-D warnings" cargo doc --workspace --no-deps

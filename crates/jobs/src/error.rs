@@ -3,6 +3,8 @@
 use std::error::Error;
 use std::io;
 
+use crate::work::is_away;
+
 /// Why the store does not do what it is asked for.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -89,6 +91,12 @@ impl StoreError {
             Self::Database { trouble, .. } => *trouble == Trouble::Full,
             _ => false,
         }
+    }
+
+    /// Whether the store of clouds and results does not answer.
+    #[must_use]
+    pub fn is_store_away(&self) -> bool {
+        matches!(self, Self::Io(error) if is_away(error))
     }
 
     /// Whether another program kept the database for itself for longer than a statement waits.

@@ -318,7 +318,8 @@ impl Store {
     #[must_use]
     pub fn place(&self, lease: &Lease) -> Place {
         let plan = lease.record.tiles.as_ref().map(|tiles| tiles.plan.clone());
-        Place { blobs: Arc::clone(&self.blobs), own: shared_name(lease), plan }
+        let input = input_name(&lease.record.id);
+        Place { blobs: Arc::clone(&self.blobs), input, own: shared_name(lease), plan }
     }
 
     /// Removes what an attempt has put into its [place](Self::place).
@@ -512,6 +513,8 @@ impl Drop for Input {
 pub struct Place {
     /// Where they are.
     pub blobs: Arc<dyn Blobs>,
+    /// The name of the job's cloud.
+    pub input: String,
     /// What the names of those begin with that this step writes: those of the plan, or of the tile's part.
     pub own: String,
     /// The same of the plan that is worked by.

@@ -120,12 +120,30 @@ pub enum Stopped {
     Storage(io::Error),
 }
 
-/// Whether a failure says nothing of the file: no descriptor was left, or no memory, or a signal came. What
-/// runs beside will be over some time.
+/// Whether a failure says nothing of the file: no descriptor was left, or no memory, or a signal came; or the store does
+/// not answer. What runs beside will be over some time, and the store be back.
 pub(crate) fn passes(error: &io::Error) -> bool {
+    use io::ErrorKind::{Interrupted, OutOfMemory};
     // ENFILE and EMFILE, on every Unix, have no kind of their own.
     let descriptors = cfg!(unix) && matches!(error.raw_os_error(), Some(23 | 24));
-    descriptors || matches!(error.kind(), io::ErrorKind::OutOfMemory | io::ErrorKind::Interrupted)
+    descriptors || matches!(error.kind(), OutOfMemory | Interrupted) || is_away(error)
+}
+
+/// Whether what keeps files does not answer.
+pub(crate) fn is_away(error: &io::Error) -> bool {
+    use io::ErrorKind as Kind;
+    matches!(
+        error.kind(),
+        Kind::TimedOut
+            | Kind::NotConnected
+            | Kind::ConnectionRefused
+            | Kind::ConnectionReset
+            | Kind::ConnectionAborted
+            | Kind::HostUnreachable
+            | Kind::NetworkUnreachable
+            | Kind::NetworkDown
+            | Kind::ResourceBusy
+    )
 }
 
 impl From<io::Error> for Stopped {

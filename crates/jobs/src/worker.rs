@@ -546,12 +546,17 @@ impl Jobs {
         Ok(How::Done)
     }
 
+    /// Whether this process may not use what others may: that says nothing of the job.
+    fn is_barred(&self, error: &io::Error) -> bool {
+        self.settings.folder().is_none() && error.kind() == io::ErrorKind::PermissionDenied
+    }
+
     /// A step has no result: what its job fails of, or none where it waits again.
     fn stop_at(&self, lease: &Lease, stopped: Stopped) -> Result<Option<Failure>, StoreError> {
         let id = &lease.record.id;
         Ok(Some(match stopped {
             Stopped::Later | Stopped::Cancelled => return self.store.defer(lease).map(|_| None),
-            Stopped::Storage(error) if passes(&error) => {
+            Stopped::Storage(error) if passes(&error) || self.is_barred(&error) => {
                 tracing::warn!(job = id, %error, "a job is tried again later");
                 return self.store.defer(lease).map(|_| None);
             }

@@ -98,7 +98,8 @@ pub async fn run(
 ) -> Result<(), ServeError> {
     config.validate()?;
     let internal = |error: &dyn std::fmt::Display| ServeError::Internal(error.to_string());
-    let jobs = open_jobs(&config)?;
+    let opened = config.clone();
+    let jobs = spawn_blocking(move || open_jobs(&opened)).await.map_err(|error| internal(&error))??;
     let app = Arc::new(App::new(engine.clone(), config.clone(), jobs).map_err(|e| internal(&e))?);
     let warm_up = async {
         let start = Instant::now();

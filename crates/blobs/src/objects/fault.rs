@@ -41,6 +41,7 @@ fn kind_of_status(text: &str) -> ErrorKind {
     match text.split_once(STATUS).and_then(|(_, answer)| answer.get(..3)) {
         Some("401" | "403") => ErrorKind::PermissionDenied,
         Some("404") => ErrorKind::NotFound,
+        Some("429" | "500" | "502" | "503" | "504") => ErrorKind::ResourceBusy,
         _ => ErrorKind::Other,
     }
 }

@@ -166,3 +166,15 @@ fn a_folder_of_version_3_is_gone_on_with() {
     assert_eq!(files(dir.path()), [""; 0]);
     assert_eq!(store.used().expect("a sum"), 0);
 }
+
+#[test]
+#[ignore = "needs scripts/with-services.sh"]
+fn programs_that_start_at_once_make_one_schema() {
+    let bench = Bench::of(engine::Engine::Postgres);
+    std::thread::scope(|scope| {
+        let opened: Vec<_> = (0..8).map(|_| scope.spawn(|| bench.records(BOUNDS).used())).collect();
+        for one in opened {
+            assert!(one.join().expect("it opens").is_ok());
+        }
+    });
+}

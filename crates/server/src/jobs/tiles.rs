@@ -1,6 +1,7 @@
 //! The steps of a job in tiles: planning, one tile, joining. Each is by itself, with what the others left among the job's
 //! blobs, so that any worker can take it.
 
+use std::fs::File;
 use std::io::Write;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -51,10 +52,15 @@ fn failed(error: TilesError, job: &Record) -> Stopped {
 pub(super) fn plan(
     app: &Arc<App>,
     job: &Record,
-    (input, options): (Box<dyn BlobReader>, Options),
+    options: Options,
     place: &Place,
     task: &Task,
 ) -> Result<Begun, Stopped> {
+    // A file at hand, so that a store that does not answer is no fault of the cloud's.
+    let folder = folder(app, job)?;
+    let file = folder.path().join("cloud");
+    place.blobs.fetch(&place.input, &file)?;
+    let input = File::open(&file)?;
     let caller = caller(job);
     let permit =
         app.engine.reserve(&caller, Cost::new(0, 0)).map_err(|refusal| ended(refusal.into(), job))?;

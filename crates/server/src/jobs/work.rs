@@ -109,7 +109,7 @@ impl Work for Upsampling {
             return Err(stopped(&Problem::BodyTooLarge { limit }, job));
         }
         if options.tile_points.is_some_and(|most| job.points_in > most) {
-            return tiles::plan(app, job, (input, options), place, task);
+            return tiles::plan(app, job, options, place, task);
         }
         let about = whole(app, job, (input, length, options), task, sink)?;
         Ok(Begun::Done(told(About { name, ..about }, job)?))

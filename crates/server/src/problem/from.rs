@@ -55,11 +55,19 @@ impl From<StoreError> for Problem {
             StoreError::Full { queued, limit } => Self::JobsFull { queued, limit, retry_after: SOON },
             StoreError::ClientFull { queued, limit } => Self::ClientJobs { queued, limit, retry_after: SOON },
             error if error.is_full() => Self::DiskFull(error.to_string()),
-            error if error.is_busy() => Self::JobsBusy("another program has locked the jobs' database"),
-            error if error.is_unsure() => {
-                Self::JobsBusy("the jobs' database was lost before it said whether this was done")
+            error if error.is_busy() => {
+                Self::JobsBusy("another program has locked the jobs' database; nothing was changed")
             }
-            error if error.is_away() => Self::JobsBusy("the jobs' database cannot be reached"),
+            error if error.is_unsure() => Self::JobsBusy(
+                "the jobs' database was lost before it said whether it kept this; with the same Idempotency-Key the request \
+                 is the same job",
+            ),
+            error if error.is_away() => {
+                Self::JobsBusy("the jobs' database does not answer; nothing was changed")
+            }
+            error if error.is_store_away() => {
+                Self::JobsBusy("the store of jobs does not answer; nothing was changed")
+            }
             error => Self::Internal(error.to_string()),
         }
     }

@@ -163,8 +163,8 @@ problems! {
          limit, and so does deleting jobs";
     Self::KeyReused => UNPROCESSABLE_ENTITY "idempotency-key-reused" "The key is another request's":
         "this Idempotency-Key came with another request before; give each request its own";
-    Self::JobsBusy(why) => SERVICE_UNAVAILABLE "jobs-busy" "The jobs' database is busy":
-        "{why}; nothing was changed, try again";
+    Self::JobsBusy(why) => SERVICE_UNAVAILABLE "jobs-busy" "Jobs cannot be asked for now":
+        "{why}; try again";
     Self::DiskFull(why) => INSUFFICIENT_STORAGE "disk-full" "The disk is full" ("--data-dir"):
         "the disk is full: {why}; make room there, or give {setting} a folder elsewhere";
     Self::NoJob(id) => NOT_FOUND "no-such-job" "No such job":
