@@ -56,7 +56,9 @@ pub(crate) async fn ask<T: Send + 'static>(
 ) -> Result<T, Problem> {
     let jobs = Arc::clone(app.jobs()?);
     let turn = timeout(TURN, Arc::clone(&app.asking).acquire_owned()).await;
-    let turn = turn.map_err(|_| Problem::JobsBusy("the jobs' database is busy with other requests; nothing was changed"))?;
+    let turn = turn.map_err(|_| {
+        Problem::JobsBusy("the jobs' database is busy with other requests; nothing was changed")
+    })?;
     let asked = spawn_blocking(move || {
         // Held until the answer is there, even if nobody waits for it any more.
         let _turn = turn;
