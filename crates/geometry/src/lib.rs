@@ -40,7 +40,7 @@ pub use limit::{MAX_POINTS, TooManyPoints, check_count, indices};
 pub use mesh::{Mesh, MeshError};
 pub use mls::project_to_surface;
 pub use normals::estimate_normals;
-pub use normals::normal;
+pub use normals::{normal, normals_of_four};
 pub use partition::{NoPartition, Partition, Split};
 pub use plane::{Plane, quadratic_residual};
 pub use poisson_disk::poisson_disk;

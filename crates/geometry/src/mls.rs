@@ -3,7 +3,7 @@
 use pulp::Arch;
 use rayon::prelude::*;
 
-use super::normals::least_eigenvector;
+use super::normals::least_eigenvectors_of_four;
 use super::{KdTree, Neighbour, Walk};
 use densecloud_cloud::Point;
 
@@ -37,9 +37,16 @@ pub fn project_to_surface(points: &mut [Point], support: &[Point], tree: &KdTree
     points.par_chunks_mut(CHUNK).for_each_init(Walk::default, |walk, chunk| {
         // Compiled for the processor's own vectors: the sums over neighbours are half of the time.
         arch.dispatch(|| {
-            for point in chunk {
-                tree.nearest_next(*point, NEIGHBOURS, walk);
-                *point = foot(*point, support, &walk.found);
+            for points in chunk.chunks_mut(4) {
+                let mut around = [const { Around::NONE }; 4];
+                for (around, point) in around.iter_mut().zip(&*points) {
+                    tree.nearest_next(*point, NEIGHBOURS, walk);
+                    *around = Around::of(*point, support, &walk.found);
+                }
+                let normals = least_eigenvectors_of_four(around.each_ref().map(Around::covariance));
+                for ((point, around), normal) in points.iter_mut().zip(&around).zip(normals) {
+                    *point = around.foot(*point, normal);
+                }
             }
         });
     });
@@ -50,57 +57,82 @@ type Each = [f32; NEIGHBOURS];
 /// Sums are made of this many partial ones: as many as most processors' vectors hold.
 const LANES: usize = 8;
 
-/// Where `point` lands; where it is if its neighbours define no surface.
-#[inline(always)]
-fn foot(point: Point, support: &[Point], near: &[Neighbour]) -> Point {
-    let reach = near.last().map_or(0.0, |n| n.distance_squared).sqrt();
-    if near.len() < 2 * TERMS || reach == 0.0 {
-        return point;
-    }
-    // The neighbours in the query's frame, in units of the reach, with their weights; places that are
-    // left over weigh nothing.
-    let mut local = [[0.0; NEIGHBOURS]; 3];
-    let mut weights = [0.0; NEIGHBOURS];
-    for (i, n) in near.iter().enumerate() {
-        let q = support[n.index as usize];
-        for a in 0..3 {
-            local[a][i] = (q[a] - point[a]) / reach;
+/// The neighbours of a point in its frame, in units of their reach, with their weights; places that are left over weigh
+/// nothing.
+struct Around {
+    /// 0 where they define no surface.
+    reach: f32,
+    local: [Each; 3],
+    weights: Each,
+    total: f32,
+}
+
+impl Around {
+    const NONE: Self =
+        Self { reach: 0.0, local: [[0.0; NEIGHBOURS]; 3], weights: [0.0; NEIGHBOURS], total: 0.0 };
+
+    #[inline(always)]
+    fn of(point: Point, support: &[Point], near: &[Neighbour]) -> Self {
+        let reach = near.last().map_or(0.0, |n| n.distance_squared).sqrt();
+        if near.len() < 2 * TERMS || reach == 0.0 {
+            return Self::NONE;
         }
-        weights[i] = n.distance_squared;
-    }
-    let narrow = -1.0 / (WIDTH * reach).powi(2);
-    for w in &mut weights[..near.len()] {
-        *w = exponential(*w * narrow);
-    }
-    let total = sum(&weights);
-    let normal = least_eigenvector(covariance(&local, &weights, total));
-    let (u, v) = tangents(normal);
-    let (a, b, height) = (along(&local, u), along(&local, v), along(&local, normal));
-    let terms = [[1.0; NEIGHBOURS], a, b, product(&a, &a), product(&a, &b), product(&b, &b)];
-    let weighted_height = product(&weights, &height);
-    let squares = inner(&weighted_height, &height);
-    let (mut matrix, mut right) = ([[0.0; TERMS]; TERMS], [0.0; TERMS]);
-    for i in 0..TERMS {
-        let weighted = product(&weights, &terms[i]);
-        right[i] = inner(&weighted, &height);
-        for j in 0..=i {
-            matrix[i][j] = inner(&weighted, &terms[j]);
+        let mut local = [[0.0; NEIGHBOURS]; 3];
+        let mut weights = [0.0; NEIGHBOURS];
+        for (i, n) in near.iter().enumerate() {
+            let q = support[n.index as usize];
+            for a in 0..3 {
+                local[a][i] = (q[a] - point[a]) / reach;
+            }
+            weights[i] = n.distance_squared;
         }
+        let narrow = -1.0 / (WIDTH * reach).powi(2);
+        for w in &mut weights[..near.len()] {
+            *w = exponential(*w * narrow);
+        }
+        Self { reach, local, weights, total: sum(&weights) }
     }
-    let scale = (0..TERMS).map(|i| matrix[i][i]).sum::<f64>() / TERMS as f64;
-    for (i, row) in matrix.iter_mut().enumerate() {
-        row[i] += 1e-6 * scale;
+
+    #[inline(always)]
+    fn covariance(&self) -> [[f64; 3]; 3] {
+        if self.reach == 0.0 { [[0.0; 3]; 3] } else { covariance(&self.local, &self.weights, self.total) }
     }
-    // Half for the mixed term, so that the penalty does not depend on how u and v lie.
-    for (i, share) in [(3, 1.0), (4, 0.5), (5, 1.0)] {
-        matrix[i][i] += RIDGE * scale * share;
+
+    /// Where `point` lands by its `normal`; where it is if its neighbours define no surface.
+    #[inline(always)]
+    fn foot(&self, point: Point, normal: [f64; 3]) -> Point {
+        if self.reach == 0.0 {
+            return point;
+        }
+        let Self { reach, ref local, ref weights, total } = *self;
+        let (u, v) = tangents(normal);
+        let (a, b, height) = (along(local, u), along(local, v), along(local, normal));
+        let terms = [[1.0; NEIGHBOURS], a, b, product(&a, &a), product(&a, &b), product(&b, &b)];
+        let weighted_height = product(weights, &height);
+        let squares = inner(&weighted_height, &height);
+        let (mut matrix, mut right) = ([[0.0; TERMS]; TERMS], [0.0; TERMS]);
+        for i in 0..TERMS {
+            let weighted = product(weights, &terms[i]);
+            right[i] = inner(&weighted, &height);
+            for j in 0..=i {
+                matrix[i][j] = inner(&weighted, &terms[j]);
+            }
+        }
+        let scale = (0..TERMS).map(|i| matrix[i][i]).sum::<f64>() / TERMS as f64;
+        for (i, row) in matrix.iter_mut().enumerate() {
+            row[i] += 1e-6 * scale;
+        }
+        // Half for the mixed term, so that the penalty does not depend on how u and v lie.
+        for (i, share) in [(3, 1.0), (4, 0.5), (5, 1.0)] {
+            matrix[i][i] += RIDGE * scale * share;
+        }
+        let Some(fit) = solve(matrix, right) else { return point };
+        let explained: f64 = fit.iter().zip(right).map(|(x, y)| x * y).sum();
+        let residual = ((squares - explained) / f64::from(total)).max(0.0);
+        let trust = (1.0 - residual / (POOR * POOR)).max(0.0);
+        let moved = (trust * fit[0]).clamp(-FARTHEST, FARTHEST) * f64::from(reach);
+        std::array::from_fn(|a| (f64::from(point[a]) + moved * normal[a]) as f32)
     }
-    let Some(fit) = solve(matrix, right) else { return point };
-    let explained: f64 = fit.iter().zip(right).map(|(x, y)| x * y).sum();
-    let residual = ((squares - explained) / f64::from(total)).max(0.0);
-    let trust = (1.0 - residual / (POOR * POOR)).max(0.0);
-    let moved = (trust * fit[0]).clamp(-FARTHEST, FARTHEST) * f64::from(reach);
-    std::array::from_fn(|a| (f64::from(point[a]) + moved * normal[a]) as f32)
 }
 
 /// e^x for x from -3 to 0, to 5e-5: its Taylor polynomial at x / 8, to the eighth.

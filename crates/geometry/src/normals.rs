@@ -1,5 +1,6 @@
 //! Normals of a cloud by principal component analysis.
 
+use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
 use super::{KdTree, Neighbour};
@@ -39,7 +40,33 @@ pub fn estimate_normals(points: &[Point], k: usize) -> Vec<[f32; 3]> {
 
 /// The normal of one point whose nearest are `near`.
 pub fn normal(points: &[Point], near: &[Neighbour]) -> [f32; 3] {
-    let v = least_eigenvector(covariance(points, near));
+    directed(least_eigenvector(covariance(points, near)))
+}
+
+/// The same of four points, in less than half of the time of four.
+pub fn normals_of_four(points: &[Point], near: [&[Neighbour]; 4]) -> [[f32; 3]; 4] {
+    let covariances = near.map(|near| covariance(points, near));
+    least_eigenvectors_of_four(covariances).map(directed)
+}
+
+/// [`least_eigenvector`] of four matrices, in the processor's own vectors.
+pub(super) fn least_eigenvectors_of_four(all: [[[f64; 3]; 3]; 4]) -> [[f64; 3]; 4] {
+    Arch::new().dispatch(Four(all))
+}
+
+struct Four([[[f64; 3]; 3]; 4]);
+
+impl WithSimd for Four {
+    type Output = [[f64; 3]; 4];
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) -> [[f64; 3]; 4] {
+        least_eigenvectors(self.0)
+    }
+}
+
+/// With the component of the largest magnitude positive.
+fn directed(v: [f64; 3]) -> [f32; 3] {
     let largest = (1..3).fold(0, |best, a| if v[a].abs() > v[best].abs() { a } else { best });
     let sign = v[largest].signum();
     v.map(|c| (sign * c) as f32)
@@ -69,43 +96,87 @@ pub(super) fn covariance(points: &[Point], near: &[Neighbour]) -> [[f64; 3]; 3] 
 
 /// The unit eigenvector of the smallest eigenvalue.
 pub(super) fn least_eigenvector(m: [[f64; 3]; 3]) -> [f64; 3] {
-    let (values, vectors) = eigen(m);
-    vectors[(1..3).fold(0, |best, a| if values[a] < values[best] { a } else { best })]
+    least_eigenvectors([m])[0]
 }
 
-/// The eigenvalues of a symmetric matrix, of which the upper triangle is read, and the unit eigenvector of
-/// each; cyclic Jacobi rotations, which are exact where eigenvalues are equal too.
-pub(super) fn eigen(mut m: [[f64; 3]; 3]) -> ([f64; 3], [[f64; 3]; 3]) {
-    let mut vectors = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
-    let scale = m[0][0] + m[1][1] + m[2][2];
+/// The same of several matrices.
+#[inline(always)]
+fn least_eigenvectors<const N: usize>(all: [[[f64; 3]; 3]; N]) -> [[f64; 3]; N] {
+    let (values, vectors) = eigen_each(all);
+    let least = |n: usize| (1..3).fold(0, |best, a| if values[a][n] < values[best][n] { a } else { best });
+    std::array::from_fn(|n| vectors[least(n)].map(|c| c[n]))
+}
+
+/// The eigenvalues of a symmetric matrix, of which the upper triangle is read, and the unit eigenvector of each.
+pub(super) fn eigen(m: [[f64; 3]; 3]) -> ([f64; 3], [[f64; 3]; 3]) {
+    let (values, vectors) = eigen_each([m]);
+    (values.map(|[value]| value), vectors.map(|vector| vector.map(|[c]| c)))
+}
+
+/// The eigenvalues of symmetric matrices, of which the upper triangle is read, and the unit eigenvector of
+/// each; cyclic Jacobi rotations, which are exact where eigenvalues are equal too. Matrices are worked on side by side, each
+/// as if it were alone: `[value][matrix]`, `[vector][axis][matrix]`.
+#[inline(always)]
+fn eigen_each<const N: usize>(all: [[[f64; 3]; 3]; N]) -> ([[f64; N]; 3], [[[f64; N]; 3]; 3]) {
+    let mut m: [[[f64; N]; 3]; 3] =
+        std::array::from_fn(|i| std::array::from_fn(|j| std::array::from_fn(|n| all[n][i][j])));
+    let mut vectors = [0, 1, 2].map(|v| [0, 1, 2].map(|a| [f64::from(u8::from(a == v)); N]));
+    let scale: [f64; N] = std::array::from_fn(|n| m[0][0][n] + m[1][1][n] + m[2][2][n]);
+    let mut done = [false; N];
     // Converges quadratically: six sweeps are more than 3 x 3 ever needs.
     for _ in 0..6 {
-        if m[0][1].abs() + m[0][2].abs() + m[1][2].abs() <= 1e-14 * scale {
+        for n in 0..N {
+            done[n] |= m[0][1][n].abs() + m[0][2][n].abs() + m[1][2][n].abs() <= 1e-14 * scale[n];
+        }
+        if done == [true; N] {
             break;
         }
-        for (p, q) in [(0, 1), (0, 2), (1, 2)] {
-            if m[p][q] == 0.0 {
-                continue;
-            }
-            let theta = (m[q][q] - m[p][p]) / (2.0 * m[p][q]);
-            let t = theta.signum() / (theta.abs() + (theta * theta + 1.0).sqrt());
-            let c = 1.0 / (t * t + 1.0).sqrt();
-            let s = t * c;
-            m[p][p] -= t * m[p][q];
-            m[q][q] += t * m[p][q];
-            m[p][q] = 0.0;
-            let r = 3 - p - q;
-            let (pr, qr) = ((p.min(r), p.max(r)), (q.min(r), q.max(r)));
-            let (x, y) = (m[pr.0][pr.1], m[qr.0][qr.1]);
-            m[pr.0][pr.1] = c * x - s * y;
-            m[qr.0][qr.1] = s * x + c * y;
-            for v in &mut vectors {
-                (v[p], v[q]) = (c * v[p] - s * v[q], s * v[p] + c * v[q]);
-            }
-        }
+        rotate(&mut m, &mut vectors, done, [0, 1, 2]);
+        rotate(&mut m, &mut vectors, done, [0, 2, 1]);
+        rotate(&mut m, &mut vectors, done, [1, 2, 0]);
     }
-    let values = [m[0][0], m[1][1], m[2][2]];
-    (values, std::array::from_fn(|i| [vectors[0][i], vectors[1][i], vectors[2][i]]))
+    ([m[0][0], m[1][1], m[2][2]], vectors)
+}
+
+/// Makes the entry of row `p` and column `q` zero by a rotation in their plane, where a matrix is not `done`; `r` is the
+/// third axis.
+#[inline(always)]
+fn rotate<const N: usize>(
+    m: &mut [[[f64; N]; 3]; 3],
+    vectors: &mut [[[f64; N]; 3]; 3],
+    done: [bool; N],
+    [p, q, r]: [usize; 3],
+) {
+    let across = m[p][q];
+    let turns: [bool; N] = std::array::from_fn(|n| !done[n] & (across[n] != 0.0));
+    let t: [f64; N] = std::array::from_fn(|n| {
+        let theta = (m[q][q][n] - m[p][p][n]) / (2.0 * across[n]);
+        1.0_f64.copysign(theta) / (theta.abs() + (theta * theta + 1.0).sqrt())
+    });
+    let c: [f64; N] = std::array::from_fn(|n| 1.0 / (t[n] * t[n] + 1.0).sqrt());
+    let s: [f64; N] = std::array::from_fn(|n| t[n] * c[n]);
+    let set = |place: &mut [f64; N], value: [f64; N]| {
+        *place = std::array::from_fn(|n| if turns[n] { value[n] } else { place[n] });
+    };
+    let turned = |x: [f64; N], y: [f64; N]| -> [[f64; N]; 2] {
+        [
+            std::array::from_fn(|n| c[n] * x[n] - s[n] * y[n]),
+            std::array::from_fn(|n| s[n] * x[n] + c[n] * y[n]),
+        ]
+    };
+    let (pp, qq) = (m[p][p], m[q][q]);
+    set(&mut m[p][p], std::array::from_fn(|n| pp[n] - t[n] * across[n]));
+    set(&mut m[q][q], std::array::from_fn(|n| qq[n] + t[n] * across[n]));
+    set(&mut m[p][q], [0.0; N]);
+    let (pr, qr) = ((p.min(r), p.max(r)), (q.min(r), q.max(r)));
+    let [x, y] = turned(m[pr.0][pr.1], m[qr.0][qr.1]);
+    set(&mut m[pr.0][pr.1], x);
+    set(&mut m[qr.0][qr.1], y);
+    for axis in [0, 1, 2] {
+        let [x, y] = turned(vectors[p][axis], vectors[q][axis]);
+        set(&mut vectors[p][axis], x);
+        set(&mut vectors[q][axis], y);
+    }
 }
 
 #[cfg(test)]
