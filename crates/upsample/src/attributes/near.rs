@@ -11,7 +11,7 @@ use densecloud_geometry::{KdTree, Walk, indices};
 const NEAREST: usize = 6;
 
 /// New points looked up between two questions whether to stop.
-const BLOCK: usize = 1 << 16;
+const BLOCK: usize = 1 << 18;
 
 /// Rows of the source and their weights, the nearest first: those of weight 0 have no part.
 pub(super) type Weighted = [(u32, f32); NEAREST - 1];
@@ -37,8 +37,8 @@ impl Near {
         drop(positions);
         let tree = KdTree::new(&points);
         let k = NEAREST.min(points.len());
-        let look = |walk: &mut Walk, p: &Position| {
-            tree.nearest_next(frame.to_local(*p), k, walk);
+        let look = |walk: &mut Walk, p: Point| {
+            tree.nearest_next(p, k, walk);
             let reach = walk.found.last().map_or(0.0, |n| n.distance_squared.sqrt());
             let mut weighted = [(rows[walk.found[0].index as usize], 0.0); NEAREST - 1];
             for (slot, n) in weighted.iter_mut().zip(&walk.found) {
@@ -56,12 +56,17 @@ impl Near {
             }
             weighted
         };
-        let mut weighted = Vec::with_capacity(dense.len());
-        for block in dense.chunks(BLOCK) {
+        let mut weighted = vec![[(0, 0.0); NEAREST - 1]; dense.len()];
+        for (block, weighted) in dense.chunks(BLOCK).zip(weighted.chunks_mut(BLOCK)) {
             if cancelled() {
                 return None;
             }
-            weighted.par_extend(block.par_iter().map_init(Walk::default, look));
+            // New points come in any order, and those near each other are looked up fastest one after the other.
+            let points: Vec<Point> = block.par_iter().map(|p| frame.to_local(*p)).collect();
+            let own = KdTree::new(&points);
+            let look = |walk: &mut Walk, i: &u32| look(walk, points[*i as usize]);
+            let found: Vec<Weighted> = own.order().par_iter().map_init(Walk::default, look).collect();
+            own.order().iter().zip(found).for_each(|(&i, near)| weighted[i as usize] = near);
         }
         Some(Self { weighted, nearest: OnceLock::new() })
     }
