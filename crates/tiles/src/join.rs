@@ -1,6 +1,8 @@
 //! From parts to one file.
 
 use std::io::Write;
+use std::sync::mpsc::{self, SyncSender};
+use std::thread;
 
 use densecloud::{Made, Report};
 use densecloud_cascade::CascadeError;
@@ -8,8 +10,12 @@ use densecloud_cloud::Attribute;
 use densecloud_formats::{CloudPlan, CloudWriter, FormatError};
 
 use crate::TilesError;
+use crate::part::Points;
 use crate::run::Done;
 use crate::tiling::Tiling;
+
+/// Blocks of points that are read before they are taken: reading goes on beside the writing.
+const AHEAD: usize = 2;
 
 /// The parts of a cloud, ready to be written one after another.
 pub struct Join<'a> {
@@ -96,18 +102,35 @@ impl Tiling {
         mut take: impl FnMut(&[Attribute], Vec<densecloud_cloud::Position>) -> Result<(), FormatError>,
     ) -> Result<(), TilesError> {
         let mut given = 0;
-        for tile in 0..self.len() {
-            let mut part = self.part(tile)?;
-            while let Some((block, positions)) = part.next(attributes)? {
+        thread::scope(|scope| {
+            let (give, blocks) = mpsc::sync_channel(AHEAD);
+            let reading = scope.spawn(move || self.read_parts(attributes, &give));
+            for (block, positions) in blocks {
                 given += positions.len() as u64;
                 take(&block, positions)?;
             }
-        }
+            reading.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+        })?;
         if given == points {
             return Ok(());
         }
         let why = format!("the parts have {given} points, and should have {points}");
         Err(TilesError::broken(self.folder.path(), why))
+    }
+}
+
+impl Tiling {
+    /// Reads all parts until nobody wants more of them.
+    fn read_parts(&self, attributes: &[Attribute], give: &SyncSender<Points>) -> Result<(), TilesError> {
+        for tile in 0..self.len() {
+            let mut part = self.part(tile)?;
+            while let Some(block) = part.next(attributes)? {
+                if give.send(block).is_err() {
+                    return Ok(());
+                }
+            }
+        }
+        Ok(())
     }
 }
 

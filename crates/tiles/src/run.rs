@@ -17,6 +17,13 @@ use crate::folder::write_whole;
 use crate::tile::TileCloud;
 use crate::tiling::Tiling;
 
+/// A tile's part of the result, before it is written.
+pub(crate) struct TilePart {
+    positions: Vec<Position>,
+    attributes: Vec<Attribute>,
+    pub(crate) done: Done,
+}
+
 /// What is known of a tile that is done.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Done {
@@ -43,6 +50,19 @@ impl Tiling {
         runner: &dyn LevelRunner,
         observer: &dyn Observer,
     ) -> Result<u64, TilesError> {
+        let part = self.made_of(tile, runner, observer)?;
+        let points = part.done.points;
+        self.write(tile, part)?;
+        Ok(points)
+    }
+
+    /// Works on one tile.
+    pub(crate) fn made_of(
+        &self,
+        tile: u32,
+        runner: &dyn LevelRunner,
+        observer: &dyn Observer,
+    ) -> Result<TilePart, TilesError> {
         let last = self.len().saturating_sub(1);
         let planned = self.manifest.tiles.get(tile as usize).ok_or(TilesError::NoTile { tile, last })?;
         let (attributes, adaptation) = (self.manifest.attributes(), self.manifest.adaptation());
@@ -65,8 +85,7 @@ impl Tiling {
             apart: apart as u64,
             unsure: planned.size - positions.len() as u64,
         };
-        self.write(tile, positions, attributes, &done)?;
-        Ok(done.points)
+        Ok(TilePart { positions, attributes, done })
     }
 
     /// Upsamples a tile's points and those around it.
@@ -109,13 +128,8 @@ impl Tiling {
     }
 
     /// Writes a part, and then that it is done.
-    fn write(
-        &self,
-        tile: u32,
-        positions: Vec<Position>,
-        attributes: Vec<Attribute>,
-        done: &Done,
-    ) -> Result<(), TilesError> {
+    pub(crate) fn write(&self, tile: u32, part: TilePart) -> Result<(), TilesError> {
+        let TilePart { positions, attributes, done } = part;
         let path = self.folder.part(tile);
         let before = path.with_extension("part.new");
         let all = Block { positions, columns: attributes.into_iter().map(|a| a.values).collect() };
@@ -129,7 +143,7 @@ impl Tiling {
             std::fs::rename(&before, &path)
         };
         write().map_err(TilesError::file(&path))?;
-        let json = serde_json::to_vec(done).map_err(|why| TilesError::broken(&path, why.to_string()))?;
+        let json = serde_json::to_vec(&done).map_err(|why| TilesError::broken(&path, why.to_string()))?;
         write_whole(&self.folder.done(tile), &json)
     }
 }

@@ -1,5 +1,7 @@
 //! A plan in a folder, and how far its tiles are.
 
+use std::thread::{self, ScopedJoinHandle};
+
 use densecloud::Report;
 use densecloud::attributes::Plan;
 use densecloud::backends::ModelName;
@@ -211,25 +213,44 @@ impl Tiling {
         self.run_each(work, || true)
     }
 
-    /// The same; `done` hears of each tile that is, and ends it by saying no.
-    pub(crate) fn run_each(&self, work: &Work<'_>, done: impl Fn() -> bool) -> Result<(), TilesError> {
-        let (tell, mut made) = (done, 0);
-        for tile in 0..self.len() {
-            if work.watch.cancelled() {
-                return Err(CascadeError::Cancelled.into());
+    /// The same; `done` hears of each tile that is, and ends it by saying no, within one more tile.
+    ///
+    /// A part is written while the next tile is worked on: the disk holds up no work. At most one waits for that.
+    pub(crate) fn run_each(&self, work: &Work<'_>, done: impl Fn() -> bool + Sync) -> Result<(), TilesError> {
+        let (tell, mut made) = (&done, 0);
+        thread::scope(|scope| {
+            let mut writing: Option<Writing<'_>> = None;
+            for tile in 0..self.len() {
+                if work.watch.cancelled() {
+                    return Err(CascadeError::Cancelled.into());
+                }
+                let done = self.done(tile)?;
+                work.watch.step(Step::Tile { done: tile, of: self.len(), points: made });
+                let part = match &done {
+                    Some(_) => None,
+                    None => Some(self.made_of(tile, work.runner, work.watch)?),
+                };
+                made += part.as_ref().map(|part| &part.done).or(done.as_ref()).map_or(0, |done| done.points);
+                if !went_on(writing.take())? {
+                    return Ok(());
+                }
+                writing = Some(scope.spawn(move || {
+                    part.map_or(Ok(()), |part| self.write(tile, part))?;
+                    Ok(tell())
+                }));
             }
-            let done = self.done(tile)?.map(|done| done.points);
-            work.watch.step(Step::Tile { done: tile, of: self.len(), points: made });
-            made += match done {
-                Some(points) => points,
-                None => self.run(tile, work.runner, work.watch)?,
-            };
-            if !tell() {
-                break;
-            }
-        }
-        Ok(())
+            went_on(writing).map(drop)
+        })
     }
+}
+
+/// A part on its way to the disk: whether more are wanted.
+type Writing<'scope> = ScopedJoinHandle<'scope, Result<bool, TilesError>>;
+
+/// Waits for a part, if there is one.
+fn went_on(writing: Option<Writing<'_>>) -> Result<bool, TilesError> {
+    let wait = |writing: Writing<'_>| writing.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
+    writing.map_or(Ok(true), wait)
 }
 
 fn stored(folder: &Folder) -> Result<(Manifest, Whole), TilesError> {

@@ -2,6 +2,7 @@
 
 use las::Transform;
 use las::point::Format;
+use rayon::prelude::*;
 
 use super::super::FormatError;
 use super::super::names::NameRule;
@@ -14,6 +15,9 @@ use densecloud_cloud::{Attribute, Kind, Position, Values, each_kind};
 
 /// Steps from an offset that are surely written: the crate rounds the bounds outwards, by less than the rest.
 const FARTHEST: f64 = 2_147_483_600.0;
+
+/// Points whose rows are a task: enough to hide what a task costs.
+const PIECE: usize = 4096;
 
 /// What goes where.
 pub(super) struct Plan {
@@ -127,8 +131,23 @@ impl Plan {
         Ok(Self { las, format, minor, axes, reach, columns, records, returns, renamed })
     }
 
-    /// Puts points into rows of `stride` bytes. The first point's attributes are at row `from`.
+    /// Puts points into rows of `stride` bytes, on the threads of the current pool. The first point's attributes are at row
+    /// `from`.
     pub(super) fn fill(
+        &self,
+        rows: &mut [u8],
+        stride: usize,
+        positions: &[Position],
+        attributes: &[Attribute],
+        from: usize,
+    ) {
+        let pieces = rows.par_chunks_mut(PIECE * stride).zip(positions.par_chunks(PIECE)).enumerate();
+        pieces.for_each(|(piece, (rows, positions))| {
+            self.fill_piece(rows, stride, positions, attributes, from + piece * PIECE);
+        });
+    }
+
+    fn fill_piece(
         &self,
         rows: &mut [u8],
         stride: usize,

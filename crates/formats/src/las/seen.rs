@@ -3,6 +3,7 @@
 use std::ops::{Range, RangeInclusive};
 
 use las::point::Format;
+use rayon::prelude::*;
 
 use super::super::FormatError;
 use super::super::kind::{Begun, FirstPass};
@@ -78,9 +79,8 @@ impl Seen {
 
     /// Takes note of attributes alone.
     pub(super) fn see_numbers(&mut self, attributes: &[Attribute], rows: Range<usize>) {
-        for (column, attribute) in self.columns.iter_mut().zip(attributes) {
-            column.see(&attribute.values, rows.clone());
-        }
+        let columns = self.columns.par_iter_mut().zip(attributes);
+        columns.for_each(|(column, attribute)| column.see(&attribute.values, rows.clone()));
     }
 }
 
