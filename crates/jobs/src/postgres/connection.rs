@@ -18,7 +18,7 @@ use tokio::runtime::{Builder, Handle, Runtime};
 use tokio::sync::mpsc::UnboundedSender;
 use tokio::task::{JoinSet, unconstrained};
 use tokio::time::{Instant, sleep, timeout_at};
-use tokio_postgres::{AsyncMessage, Connection, NoTls};
+use tokio_postgres::{AsyncMessage, Connection, IsolationLevel, NoTls};
 use tokio_postgres_rustls::MakeRustlsConnect;
 
 use super::address::{Address, Host};
@@ -175,6 +175,25 @@ impl Database {
         })
     }
 
+    /// Several questions at one moment: what happens between them is not seen.
+    pub(super) fn look<T>(
+        &self,
+        questions: impl AsyncFn(&Transaction<'_>) -> Result<T, Failed>,
+    ) -> Result<T, StoreError> {
+        self.within(&Cell::new(Stage::Open), async |_| {
+            let mut client = self.client().await?;
+            let answer = async {
+                let moment = client.get().build_transaction().isolation_level(IsolationLevel::RepeatableRead);
+                let transaction = moment.read_only(true).start().await?;
+                let answer = questions(&transaction).await?;
+                transaction.commit().await?;
+                Ok(answer)
+            }
+            .await;
+            client.give_back(answer)
+        })
+    }
+
     /// A change, with no other beside it: all of it, or nothing. Where it is not known whether it was kept, it is tried
     /// again, and told so by `true`: it may find that it has happened.
     pub(super) fn write<T>(
@@ -182,35 +201,38 @@ impl Database {
         change: impl AsyncFn(&Transaction<'_>, bool) -> Result<T, Failed>,
     ) -> Result<T, StoreError> {
         let stage = Cell::new(Stage::Open);
-        self.within(&stage, async |again| self.change(&stage, &change, again).await)
+        self.within(&stage, async |again| {
+            let locked = async |transaction: &Transaction<'_>| {
+                self.lock(transaction).await?;
+                change(transaction, again).await
+            };
+            self.change(&stage, locked).await
+        })
     }
 
-    /// As [`Database::write`], but for what cannot tell whether it has happened.
+    /// As [`Database::write`], but for what cannot tell whether it has happened, and locks the totals itself.
     pub(super) fn write_once<T>(
         &self,
         change: impl AsyncFn(&Transaction<'_>) -> Result<T, Failed>,
     ) -> Result<T, StoreError> {
         let stage = Cell::new(Stage::Open);
-        let change = async |transaction: &Transaction<'_>, _: bool| change(transaction).await;
         self.within(&stage, async |again| {
             if again {
                 return Err(Failed::Refused(unsure("it was cut off")));
             }
-            self.change(&stage, &change, again).await
+            self.change(&stage, async |transaction| change(transaction).await).await
         })
     }
 
     async fn change<T>(
         &self,
         stage: &Cell<Stage>,
-        change: &impl AsyncFn(&Transaction<'_>, bool) -> Result<T, Failed>,
-        again: bool,
+        change: impl AsyncFn(&Transaction<'_>) -> Result<T, Failed>,
     ) -> Result<T, Failed> {
         let mut client = self.client().await?;
         let changed = async {
             let transaction = client.get().transaction().await?;
-            self.lock(&transaction).await?;
-            let value = change(&transaction, again).await?;
+            let value = change(&transaction).await?;
             stage.set(Stage::Keeping);
             transaction.commit().await?;
             Ok(value)

@@ -44,8 +44,7 @@ pub use password::Password;
 use connection::Database;
 use rows::{COLUMNS, change, collect, find, load, one, record, select, small, used};
 use steps::{
-    BY_TILE, FAILED, FREE, HELD, TILE_HELD, TILE_ROW, held, lapse, next, next_turn, pass, put_back, start,
-    start_tile,
+    BY_TILE, FAILED, FREE, HELD, TILE_HELD, TILE_ROW, claim, held, lapse, next_turn, pass, put_back,
 };
 use trouble::Failed;
 
@@ -188,7 +187,7 @@ impl Postgres {
 
 impl Records for Postgres {
     fn admit(&self, draft: &Draft) -> Result<Admitted, StoreError> {
-        self.database.read(async |database| {
+        self.database.look(async |database| {
             if let Some(known) = self.known(database, draft).await? {
                 return Ok(Admitted::Known(Box::new(known)));
             }
@@ -216,11 +215,7 @@ impl Records for Postgres {
 
     // A lease that nobody heard of runs out.
     fn claim(&self, worker: &str, now: Time, until: Time) -> Result<Option<Lease>, StoreError> {
-        self.database.write_once(async |database| match next(database, &self.kind).await? {
-            None => Ok(None),
-            Some((id, Step::Tile(tile))) => start_tile(database, &id, tile, worker, until).await,
-            Some((id, step)) => start(database, &id, step, worker, [now, until]).await,
-        })
+        self.database.write_once(async |database| claim(database, &self.kind, worker, [now, until]).await)
     }
 
     fn lapse(&self, time: Time, now: Time) -> Result<Vec<Lapsed>, StoreError> {
@@ -276,15 +271,15 @@ impl Records for Postgres {
     }
 
     fn tile_done(&self, lease: &Lease, part: &str, points: u64) -> Result<bool, StoreError> {
-        let (id, attempt) = held(lease);
+        let ((id, attempt), points) = (held(lease), integer(points));
+        let sql = format!(
+            "WITH done AS (UPDATE tiles SET state = 'done', blob = $3, {FREE} WHERE {TILE_HELD} RETURNING job) \
+             UPDATE jobs SET tiles_done = tiles_done + 1, points_done = points_done + $4, \
+             waits = waits OR tiles_done + 1 = tiles FROM done WHERE id = done.job"
+        );
         self.database.write(async |database, again| {
-            let sql = format!("UPDATE tiles SET state = 'done', blob = $3, {FREE} WHERE {TILE_HELD}");
-            if !change(database, &sql, &[&id, &attempt, &part]).await? {
-                return Ok(again && happened::tile_done(database, lease, part).await?);
-            }
-            let sql = "UPDATE jobs SET tiles_done = tiles_done + 1, points_done = points_done + $2, \
-                       waits = waits OR tiles_done + 1 = tiles WHERE id = $1";
-            change(database, sql, &[&id, &integer(points)]).await
+            let done = change(database, &sql, &[&id, &attempt, &part, &points]).await?;
+            Ok(done || again && happened::tile_done(database, lease, part).await?)
         })
     }
 

@@ -25,6 +25,7 @@ const VERSIONS: &str = "CREATE TABLE version (version BIGINT NOT NULL, oldest BI
 
 // As the schema of SQLite: the totals, one row, are kept by triggers, and whoever changes a job has locked them before.
 // Rows of tiles are those of jobs that are not over. A job is done by programs of its kind alone. What concerns others is told to them when it is kept.
+// A claim is a function, since all wait for it: between its statements nothing goes to and fro.
 const FIRST: &str = "
     CREATE TABLE jobs (
         number BIGINT GENERATED ALWAYS AS IDENTITY PRIMARY KEY,
@@ -113,6 +114,30 @@ const FIRST: &str = "
             PERFORM pg_notify(TG_TABLE_SCHEMA, 'other');
         END IF;
         RETURN NULL;
+    END $$;
+    CREATE FUNCTION claim(of_kind TEXT, by_worker TEXT, at BIGINT, up_to BIGINT, OUT job jobs, OUT of_tile INTEGER)
+        LANGUAGE plpgsql SET search_path FROM CURRENT AS $$
+    #variable_conflict use_column
+    DECLARE next jobs;
+    BEGIN
+        PERFORM FROM totals FOR UPDATE;
+        SELECT * INTO next FROM jobs WHERE waits AND kind = of_kind ORDER BY turn, number LIMIT 1;
+        SELECT min(tile) INTO of_tile FROM tiles WHERE state = 'waiting' AND job = next.id;
+        IF of_tile IS NULL THEN
+            UPDATE jobs SET state = 'running', attempts = attempts + 1,
+                started = CASE WHEN tiles IS NULL THEN at ELSE started END,
+                claims = claims + 1, worker = by_worker, until = up_to, waits = false
+                WHERE id = next.id RETURNING jobs.* INTO job;
+            RETURN;
+        END IF;
+        -- The clock goes on by the job's turn, which then is another.
+        UPDATE jobs SET state = state, claims = claims + 1 WHERE id = next.id RETURNING jobs.* INTO job;
+        UPDATE tiles SET state = 'running', attempts = attempts + 1, claims = next.claims + 1, worker = by_worker,
+            until = up_to WHERE job = next.id AND tile = of_tile;
+        UPDATE jobs SET waits = EXISTS (SELECT FROM tiles WHERE job = next.id AND state = 'waiting'),
+            turn = 1 + greatest((SELECT clock FROM totals), (SELECT coalesce(max(turn), 0) FROM jobs
+                WHERE client = next.client AND state IN ('queued', 'running')))
+            WHERE id = next.id;
     END $$;
     CREATE TRIGGER jobs_come AFTER INSERT ON jobs FOR EACH ROW EXECUTE FUNCTION jobs_come();
     CREATE TRIGGER jobs_change AFTER UPDATE OF bytes ON jobs FOR EACH ROW EXECUTE FUNCTION jobs_change();

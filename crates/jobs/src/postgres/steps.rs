@@ -98,55 +98,21 @@ pub(super) async fn pass(database: &Transaction<'_>, lease: &Lease) -> Result<()
     Ok(())
 }
 
-/// The step of a kind whose turn it is, and its job.
-pub(super) async fn next(database: &Transaction<'_>, kind: &str) -> Result<Option<(String, Step)>, Failed> {
-    let sql = "SELECT id, tiles, (SELECT min(tile) FROM tiles WHERE state = 'waiting' AND job = id) \
-               FROM jobs WHERE waits AND kind = $1 ORDER BY turn, number LIMIT 1";
-    let step = |row: &Row| {
-        let (count, tile): (Option<i32>, Option<i32>) = (row.try_get(1)?, row.try_get(2)?);
+/// Gives a worker the step of a kind whose turn it is.
+pub(super) async fn claim(
+    database: &Transaction<'_>,
+    kind: &str,
+    worker: &str,
+    [now, until]: [Time; 2],
+) -> Result<Option<Lease>, Failed> {
+    let columns = COLUMNS.replace(", ", ", (job).");
+    let sql = format!(
+        "SELECT (job).{columns}, (job).claims, of_tile FROM claim($1, $2, $3, $4) WHERE (job).id IS NOT NULL"
+    );
+    let lease = |row: &Row| {
+        let (count, tile): (Option<i32>, Option<i32>) = (row.try_get(18)?, row.try_get(22)?);
         let of_tiles = || tile.map(small).map_or(Step::Join, Step::Tile);
-        Ok((row.try_get(0)?, if count.is_none() { Step::Whole } else { of_tiles() }))
+        rows::lease(row, if count.is_none() { Step::Whole } else { of_tiles() }, worker, until)
     };
-    Ok(collect(database, sql, &[&kind], step).await?.pop())
-}
-
-/// Gives a worker a job as a whole, or its tiles to join.
-pub(super) async fn start(
-    database: &Transaction<'_>,
-    id: &str,
-    step: Step,
-    worker: &str,
-    times: [Time; 2],
-) -> Result<Option<Lease>, Failed> {
-    let sql = format!(
-        "UPDATE jobs SET state = 'running', attempts = attempts + 1, \
-         started = CASE WHEN tiles IS NULL THEN $2 ELSE started END, \
-         claims = claims + 1, worker = $3, until = $4, waits = false WHERE id = $1 RETURNING {COLUMNS}, claims"
-    );
-    let [now, until] = times;
-    let lease = |row: &Row| rows::lease(row, step, worker, until);
-    Ok(collect(database, &sql, &[&id, &now, &worker, &until], lease).await?.pop())
-}
-
-/// Gives a worker a tile, and its job the next turn.
-pub(super) async fn start_tile(
-    database: &Transaction<'_>,
-    id: &str,
-    tile: u32,
-    worker: &str,
-    until: Time,
-) -> Result<Option<Lease>, Failed> {
-    // The clock goes on by its turn, which then is another.
-    let sql = format!(
-        "UPDATE jobs SET state = state, claims = claims + 1 WHERE id = $1 RETURNING {COLUMNS}, claims"
-    );
-    let lease = |row: &Row| rows::lease(row, Step::Tile(tile), worker, until);
-    let Some(lease) = collect(database, &sql, &[&id], lease).await?.pop() else { return Ok(None) };
-    let sql = "UPDATE tiles SET state = 'running', attempts = attempts + 1, claims = $3, worker = $4, until = $5 \
-               WHERE job = $1 AND tile = $2";
-    change(database, sql, &[&id, &(tile as i32), &integer(lease.attempt), &worker, &until]).await?;
-    let waits = "EXISTS (SELECT FROM tiles WHERE job = $1 AND state = 'waiting')";
-    let sql = format!("UPDATE jobs SET waits = {waits}, turn = {} WHERE id = $1", next_turn("$2"));
-    change(database, &sql, &[&id, &lease.record.client]).await?;
-    Ok(Some(lease))
+    Ok(collect(database, &sql, &[&kind, &worker, &now, &until], lease).await?.pop())
 }
