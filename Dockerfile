@@ -13,12 +13,15 @@ RUN useradd --system --uid 10001 --no-create-home densecloud \
     && install -d -o 10001 -m 0700 /var/lib/densecloud
 # The program looks for the library beside itself.
 COPY --from=build /src/target/release/densecloud /src/vendor/onnxruntime/libonnxruntime.so /opt/densecloud/
+# Whom to believe that a database or a store is who it says.
+COPY --from=build /etc/ssl/certs/ca-certificates.crt /etc/ssl/certs/
 USER 10001
 # In the environment, so that the health check knows them, too.
-ENV DENSECLOUD_HOST=0.0.0.0 DENSECLOUD_PORT=8080 DENSECLOUD_DATA_DIR=/var/lib/densecloud
+ENV DENSECLOUD_HOST=0.0.0.0 DENSECLOUD_PORT=8080
 VOLUME /var/lib/densecloud
 EXPOSE 8080
 HEALTHCHECK --interval=15s --timeout=6s --start-period=60s \
     CMD ["/opt/densecloud/densecloud", "healthcheck"]
 ENTRYPOINT ["/opt/densecloud/densecloud"]
-CMD ["serve"]
+# Other arguments take its place: jobs that are shared with other machines are in no folder.
+CMD ["serve", "--data-dir", "/var/lib/densecloud"]
