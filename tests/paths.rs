@@ -3,9 +3,9 @@
 use std::path::{Path, PathBuf};
 
 /// What a path ends with, where it is one of the repository's files.
-const ENDINGS: [&str; 15] = [
+const ENDINGS: [&str; 16] = [
     ".html", ".json", ".md", ".onnx", ".pt", ".png", ".proto", ".py", ".rs", ".service", ".sh", ".toml",
-    ".txt", ".yml", "/",
+    ".txt", ".yaml", ".yml", "/",
 ];
 
 /// What is made by commands, or stands for a file of the reader's.

@@ -4,6 +4,8 @@
 //! When a setting is new, `densecloud serve --print-config > deploy/densecloud.toml` and a row in
 //! docs/http.md are what is missing.
 
+mod fleet;
+
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::{BufRead, BufReader};
 use std::path::PathBuf;
