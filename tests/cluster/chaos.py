@@ -198,6 +198,7 @@ class Faults:
             time.sleep(self.random.uniform(0, 2 * pause))
             getattr(self, name)()
             self.happened[name] += 1
+            self.fleet.supervise()
             for one, until in list(self.stopped.values()):
                 if time.monotonic() > until:
                     self.wake(one)
@@ -289,6 +290,7 @@ def main() -> None:
             faults.run(counts, args.pause)
             calm = time.monotonic()
             while not run.over.wait(1):
+                fleet.supervise()
                 if not following.is_alive():
                     sys.exit("the run has failed")
                 if time.monotonic() > calm + 600:

@@ -101,6 +101,12 @@ class Fleet:
                     print((self.folder / f"{one.name}.log").read_text()[-2000:])
             raise
 
+    def supervise(self) -> None:
+        """Starts again what has ended, as whatever runs it does."""
+        for one in self.all:
+            if one.process.poll() is not None:
+                one.start()
+
     @property
     def all(self) -> list[Program]:
         """Servers and workers."""

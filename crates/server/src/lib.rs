@@ -35,6 +35,7 @@ mod route;
 mod testing;
 mod tiled;
 
+use std::pin::pin;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -98,8 +99,11 @@ pub async fn run(
 ) -> Result<(), ServeError> {
     config.validate()?;
     let internal = |error: &dyn std::fmt::Display| ServeError::Internal(error.to_string());
-    let opened = config.clone();
-    let jobs = spawn_blocking(move || open_jobs(&opened)).await.map_err(|error| internal(&error))??;
+    let mut shutdown = pin!(shutdown);
+    let jobs = tokio::select! {
+        opened = open_when_there(&config) => opened?,
+        () = shutdown.as_mut() => return Ok(()),
+    };
     let app = Arc::new(App::new(engine.clone(), config.clone(), jobs).map_err(|e| internal(&e))?);
     let warm_up = async {
         let start = Instant::now();
@@ -151,6 +155,27 @@ async fn clear(app: &App) {
     let folders = [app.config.temp_dir(), jobs::tiles::scratch(app)];
     // Only a panic could come back, and that is in the log.
     let _ = spawn_blocking(move || folders.iter().for_each(|folder| Folder::remove_own(folder))).await;
+}
+
+/// How long a database that does not answer is waited for at the start: it may start beside, or anew.
+const START: Duration = Duration::from_secs(60);
+/// Before it is asked again.
+const AGAIN: Duration = Duration::from_secs(1);
+
+/// Opens the store, as soon as its database answers.
+async fn open_when_there(config: &Config) -> Result<Option<Arc<Jobs>>, ServeError> {
+    let start = Instant::now();
+    loop {
+        let config = config.clone();
+        let opened = spawn_blocking(move || open_jobs(&config)).await;
+        match opened.map_err(|error| ServeError::Internal(error.to_string()))? {
+            Err(ServeError::Jobs { why, place }) if why.is_away() && start.elapsed() < START => {
+                tracing::warn!(%why, "{place} does not answer; it is asked again");
+                sleep(AGAIN).await;
+            }
+            opened => return opened,
+        }
+    }
 }
 
 /// Opens the store; blocks for moments, before anything is served.
