@@ -1,7 +1,6 @@
 //! Connections to the database, and calls that wait for it, each to a deadline.
 
 use std::cell::Cell;
-use std::future::poll_fn;
 use std::io;
 use std::pin::pin;
 use std::sync::Arc;
@@ -13,16 +12,14 @@ use deadpool_postgres::{
     Client, GenericClient, Hook, HookError, Manager, ManagerConfig, Pool, PoolError, RecyclingMethod,
     Transaction,
 };
-use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::runtime::{Builder, Handle, Runtime};
-use tokio::sync::mpsc::UnboundedSender;
-use tokio::task::{JoinSet, unconstrained};
+use tokio::task::unconstrained;
 use tokio::time::{Instant, sleep, timeout_at};
-use tokio_postgres::{AsyncMessage, Connection, IsolationLevel, NoTls};
-use tokio_postgres_rustls::MakeRustlsConnect;
+use tokio_postgres::{IsolationLevel, NoTls};
 
 use super::address::{Address, Host};
 use super::clock::{DatabaseClock, TIME};
+use super::connector::Connector;
 use super::password::Password;
 use super::tls;
 use super::trouble::{Failed, failed, lost, passes};
@@ -57,51 +54,6 @@ pub(super) struct Database {
     connector: Connector,
     pub(super) clock: Arc<DatabaseClock>,
     deadline: Duration,
-}
-
-/// Makes connections that are none of the pool's.
-#[derive(Clone)]
-pub(super) struct Connector {
-    config: tokio_postgres::Config,
-    tls: Option<MakeRustlsConnect>,
-    pub(super) schema: String,
-    pub(super) deadline: Duration,
-}
-
-impl Connector {
-    /// A connection whose messages go to `told`; it ends with the tasks.
-    pub(super) async fn connect(
-        &self,
-        tasks: &mut JoinSet<()>,
-        told: UnboundedSender<String>,
-    ) -> Result<tokio_postgres::Client, tokio_postgres::Error> {
-        match self.tls.clone() {
-            Some(tls) => {
-                let (client, connection) = self.config.connect(tls).await?;
-                tasks.spawn(forward(connection, told));
-                Ok(client)
-            }
-            None => {
-                let (client, connection) = self.config.connect(NoTls).await?;
-                tasks.spawn(forward(connection, told));
-                Ok(client)
-            }
-        }
-    }
-}
-
-/// Does a connection's work until it is lost.
-async fn forward<S, T>(mut connection: Connection<S, T>, told: UnboundedSender<String>)
-where
-    S: AsyncRead + AsyncWrite + Unpin,
-    T: AsyncRead + AsyncWrite + Unpin,
-{
-    while let Some(Ok(message)) = poll_fn(|context| connection.poll_message(context)).await {
-        if let AsyncMessage::Notification(notice) = message {
-            // Whoever listened may be gone.
-            let _ = told.send(notice.payload().to_owned());
-        }
-    }
 }
 
 /// How far a call is.
@@ -393,7 +345,8 @@ fn begin(schema: &str, deadline: Duration) -> String {
     let milliseconds = (deadline * 3 / 4).as_millis();
     format!(
         "SET search_path = {schema}; SET statement_timeout = {milliseconds}; \
-         SET idle_in_transaction_session_timeout = {milliseconds}; SET default_transaction_isolation = 'read committed'; \
+         SET idle_in_transaction_session_timeout = {milliseconds}; \
+         SET default_transaction_isolation = 'read committed'; \
          SELECT set_config('synchronous_commit', 'on', false) WHERE current_setting('synchronous_commit') = 'off'"
     )
 }

@@ -9,8 +9,8 @@ use crate::record::Time;
 
 /// After so many milliseconds of silence a process is not counted among those that work.
 pub(super) const LATE: Time = 60_000;
-/// And after so many it has ended, and its kind with the last of it: longer than programs take to be replaced one by one,
-/// each waiting for the one before.
+/// And after so many it has ended, and its kind with the last of it: longer than programs take to be replaced one by
+/// one, each waiting for the one before.
 pub(super) const GONE: Time = 600_000;
 
 /// A process is there. Jobs of kinds that are gone become its kind's, and begin anew.

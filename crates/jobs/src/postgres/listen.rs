@@ -9,7 +9,8 @@ use tokio::sync::mpsc::{UnboundedReceiver, unbounded_channel};
 use tokio::task::{JoinSet, spawn_blocking};
 use tokio::time::{sleep, timeout};
 
-use super::connection::{Connector, Database};
+use super::connection::Database;
+use super::connector::Connector;
 use super::trouble::whole;
 use crate::records::Change;
 

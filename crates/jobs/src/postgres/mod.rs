@@ -5,15 +5,18 @@
 //! | `address`, `password`, `tls` | where the database is, and how it is reached |
 //! | `connection` | connections, and calls that end by a deadline, whatever becomes of the database |
 //! | `trouble` | what went wrong, as the caller sees it |
+//! | `admission` | whether a job may come, and its row |
 //! | `happened` | whether a change was kept of which nobody heard |
 //! | `schema` | the tables, and how those of earlier versions become them |
 //! | `rows`, `steps` | rows as values; steps of jobs |
 //! | `kinds` | programs of several versions or models side by side |
-//! | `clock`, `listen` | the database's time, and what it tells |
+//! | `clock`, `connector`, `listen` | the database's time, and what it tells |
 
 mod address;
+mod admission;
 mod clock;
 mod connection;
+mod connector;
 mod happened;
 mod kinds;
 mod listen;
@@ -27,13 +30,12 @@ mod trouble;
 use std::cell::RefCell;
 use std::sync::Arc;
 
-use deadpool_postgres::{GenericClient, Transaction};
 use tokio_postgres::Row;
 
 use crate::clock::Clock;
 use crate::columns::{failure_text, integer, natural, result_text};
 use crate::error::StoreError;
-use crate::record::{Draft, Failure, NewJob, Record, ResultFile, State, Time};
+use crate::record::{Draft, Failure, Record, ResultFile, State, Time};
 use crate::records::{
     Admitted, Bounds, Change, Forgotten, Lapsed, Lease, Load, Promised, Records, Step, Submitted, Waiting,
 };
@@ -42,7 +44,7 @@ pub use connection::Limits;
 pub use password::Password;
 
 use connection::Database;
-use rows::{COLUMNS, change, collect, find, load, one, record, select, small, used};
+use rows::{change, collect, find, load, one, select, small, used};
 use steps::{
     BY_TILE, FAILED, FREE, HELD, TILE_HELD, TILE_ROW, claim, held, lapse, next_turn, pass, put_back,
 };
@@ -60,8 +62,8 @@ pub struct Postgres {
 }
 
 impl Postgres {
-    /// Connects, makes the tables where there are none, and brings older ones up to date. Programs of a kind give the same
-    /// bytes: what comes to one of them is done by those alone.
+    /// Connects, makes the tables where there are none, and brings older ones up to date. Programs of a kind give the
+    /// same bytes: what comes to one of them is done by those alone.
     ///
     /// # Errors
     /// [`StoreError::Version`], or what the database says, or the system.
@@ -93,78 +95,6 @@ impl Postgres {
     pub(crate) fn execute(address: &Address, password: &Password, sql: &str) -> Result<(), StoreError> {
         let database = Database::new(address, Some(password), Limits::default())?;
         database.prepare(async |transaction| Ok(transaction.batch_execute(sql).await?))
-    }
-
-    /// The job that this request made earlier, or none where there is room for a new one.
-    async fn known(&self, database: &impl GenericClient, draft: &Draft) -> Result<Option<Record>, Failed> {
-        let (job, wanted) = (&draft.job, draft.bytes());
-        if let Some(key) = &job.key {
-            let sql = format!("SELECT {COLUMNS}, fingerprint FROM jobs WHERE owner = $1 AND key = $2");
-            let read = |row: &Row| Ok((record(row)?, row.try_get::<_, String>(21)?));
-            match collect(database, &sql, &[&job.owner, key], read).await?.pop() {
-                Some((known, same)) if same == draft.fingerprint => return Ok(Some(known)),
-                Some(_) => return Err(StoreError::OtherRequest.into()),
-                None => {}
-            }
-        }
-        self.check(database, &job.client).await?;
-        let (used, limit) = (used(database).await?, self.bounds.disk);
-        if used.saturating_add(wanted) > limit {
-            return Err(StoreError::OverBudget { used, wanted, limit }.into());
-        }
-        Ok(None)
-    }
-
-    async fn check(&self, database: &impl GenericClient, client: &str) -> Result<(), Failed> {
-        let Load { jobs, own, .. } = load(database, client).await?;
-        let Bounds { jobs: limit, client_jobs, .. } = self.bounds;
-        if own >= client_jobs {
-            return Err(StoreError::ClientFull { queued: own, limit: client_jobs }.into());
-        }
-        if jobs >= limit {
-            return Err(StoreError::Full { queued: jobs, limit }.into());
-        }
-        Ok(())
-    }
-
-    async fn put(
-        &self,
-        database: &Transaction<'_>,
-        id: &str,
-        draft: &Draft,
-        now: Time,
-    ) -> Result<Record, Failed> {
-        let job = &draft.job;
-        let sql = format!(
-            "INSERT INTO jobs (id, state, request, owner, client, key, fingerprint, request_id, points_in, \
-             points_out, row_bytes, bytes, created, kind, turn) \
-             VALUES ($1, 'queued', $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, $12, $13, {}) RETURNING {COLUMNS}",
-            next_turn("$4")
-        );
-        let (points_in, points_out) = (integer(job.points_in), integer(job.points_out));
-        let (row_bytes, bytes) = (integer(draft.row_bytes), integer(draft.bytes()));
-        let NewJob { request, owner, client, key, request_id, .. } = job;
-        one(
-            database,
-            &sql,
-            &[
-                &id,
-                request,
-                owner,
-                client,
-                key,
-                &draft.fingerprint,
-                request_id,
-                &points_in,
-                &points_out,
-                &row_bytes,
-                &bytes,
-                &now,
-                &self.kind,
-            ],
-            record,
-        )
-        .await
     }
 
     /// Forgets jobs in a final state. What was found, and is not there any more though this never heard of its end, it
@@ -264,7 +194,8 @@ impl Records for Postgres {
             if !change(database, &sql, &[&id, &attempt, &plan, &count, &bytes, &lease.record.client]).await? {
                 return Ok(again && happened::split(database, lease, plan).await?);
             }
-            let sql = "INSERT INTO tiles (job, tile, state) SELECT $1, tile, 'waiting' FROM generate_series(0, $2 - 1) tile";
+            let sql = "INSERT INTO tiles (job, tile, state) \
+                       SELECT $1, tile, 'waiting' FROM generate_series(0, $2 - 1) tile";
             change(database, sql, &[&id, &count]).await?;
             Ok(true)
         })

@@ -1,7 +1,8 @@
 //! The schema of the database, and how those of earlier versions become it.
 //!
 //! Programs of several versions share a database while they are replaced one by one. So a step to a later version only
-//! adds: tables, columns with defaults, indexes. What it must not do is change what a program before it reads or writes.
+//! adds: tables, columns with defaults, indexes. What it must not do is change what a program before it reads or
+//! writes.
 //! Where that cannot be, the step raises `oldest`: programs that know only earlier versions then refuse to start, and
 //! must be ended before.
 
@@ -24,7 +25,8 @@ const VERSIONS: &str = "CREATE TABLE version (version BIGINT NOT NULL, oldest BI
     INSERT INTO version VALUES (0, 0)";
 
 // As the schema of SQLite: the totals, one row, are kept by triggers, and whoever changes a job has locked them before.
-// Rows of tiles are those of jobs that are not over. A job is done by programs of its kind alone. What concerns others is told to them when it is kept.
+// Rows of tiles are those of jobs that are not over. A job is done by programs of its kind alone. What concerns
+// others is told to them when it is kept.
 // A claim is a function, since all wait for it: between its statements nothing goes to and fro.
 const FIRST: &str = "
     CREATE TABLE jobs (
@@ -157,8 +159,8 @@ pub(super) async fn is_current(transaction: &Transaction<'_>, schema: &str) -> R
     Ok(version(transaction, schema).await?.is_some_and(|found| found >= VERSION))
 }
 
-/// Makes the tables where there are none, and brings older ones up to date. One process does so at a time. Nothing may have
-/// been asked in this transaction before: the server remembers what it did not find until it next takes a lock.
+/// Makes the tables where there are none, and brings older ones up to date. One process does so at a time. Nothing may
+/// have been asked in this transaction before: the server remembers what it did not find until it next takes a lock.
 ///
 /// # Errors
 /// As [`is_current`].

@@ -15,8 +15,8 @@ pub(super) enum Engine {
     Postgres,
 }
 
-/// Makes a test of each function for each engine: over a [`Bench`], or what `|bench| …` makes of one. Those over Postgres
-/// are run by `make test`, which starts one.
+/// Makes a test of each function for each engine: over a [`Bench`], or what `|bench| …` makes of one. Those over
+/// Postgres are run by `make test`, which starts one.
 macro_rules! over_each_engine {
     (|$bench:ident| $subject:expr => $($name:ident),* $(,)?) => {
         mod sqlite {
