@@ -19,15 +19,16 @@ densecloud_ray = importlib.import_module("densecloud_ray")
 
 TARGET = pathlib.Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target"))
 PROGRAM = str(pathlib.Path(os.environ.get("DENSECLOUD", TARGET / "release" / "densecloud")).resolve())
-OPTIONS = {"ratio": 4, "tile_points": int(os.environ.get("DENSECLOUD_RAY_TILE_POINTS", "4000"))}
-POINTS = os.environ.get("DENSECLOUD_RAY_POINTS", "40000")
+OPTIONS = {"ratio": 4, "tile_points": int(os.environ.get("DENSECLOUD_RAY_TILE_POINTS", "2000"))}
+POINTS = os.environ.get("DENSECLOUD_RAY_POINTS", "16000")
 
 
 @pytest.fixture
 def endpoint(tmp_path):
     """That of an S3 in memory."""
     file = tmp_path / "endpoint"
-    stand_in = subprocess.Popen([sys.executable, ROOT / "scripts" / "s3_stand_in.py", file, "densecloud-test"])
+    script, log = ROOT / "scripts" / "s3_stand_in.py", subprocess.DEVNULL
+    stand_in = subprocess.Popen([sys.executable, script, file, "densecloud-test"], stderr=log)
     try:
         while not file.exists():
             assert stand_in.poll() is None, "it has started"
