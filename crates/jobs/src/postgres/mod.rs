@@ -97,6 +97,13 @@ impl Postgres {
         database.prepare(async |transaction| Ok(transaction.batch_execute(sql).await?))
     }
 
+    /// What anybody may ask whose answer is one number.
+    #[cfg(test)]
+    pub(crate) fn ask(&self, sql: &str) -> i64 {
+        let read = |row: &Row| Ok(row.try_get(0)?);
+        self.database.read(async |database| one(database, sql, &[], read).await).expect("a number")
+    }
+
     /// Forgets jobs in a final state. What was found, and is not there any more though this never heard of its end, it
     /// takes for its own: whoever forgot it, nobody needs its blob.
     fn forget(&self, which: &str, values: rows::Values<'_>) -> Result<Vec<Forgotten>, StoreError> {

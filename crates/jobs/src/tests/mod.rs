@@ -7,6 +7,7 @@ mod migrations;
 mod model;
 mod proxy;
 mod records;
+mod scaler;
 #[cfg(target_os = "linux")]
 mod server;
 mod tiles;
