@@ -6,9 +6,9 @@ use std::sync::Arc;
 
 use crate::{Blobs, Folder, Objects, Settings};
 
-/// Opens what keeps files at an address: `s3://bucket/prefix`, `gs://bucket/prefix`, `az://container/prefix`, `file:///path`,
-/// or a path, whose folder is made where it is missing. No store is asked yet. What it takes to reach one is in the
-/// environment ([`Settings`]).
+/// Opens what keeps files at an address: `s3://bucket/prefix`, `gs://bucket/prefix`, `az://container/prefix`,
+/// `file:///path`, or a path, whose folder is made where it is missing. No store is asked yet. What it takes to reach
+/// one is in the environment ([`Settings`]).
 ///
 /// # Errors
 /// [`AddressError`].

@@ -5,13 +5,13 @@ use std::io::{self, Read, Seek, Write};
 use std::path::Path;
 use std::time::SystemTime;
 
-/// Keeps files under names. Names are ASCII letters, digits and dots, and do not end in `.part`. Several programs may use
-/// the same ones at once.
+/// Keeps files under names. Names are ASCII letters, digits and dots, and do not end in `.part`. Several programs may
+/// use the same ones at once.
 ///
 /// An implementation calls the disk or a network: each call blocks.
 pub trait Blobs: Send + Sync {
-    /// Begins a blob. It replaces one of the same name when it is finished, and not before; of two that are written at once
-    /// the later to be finished stays.
+    /// Begins a blob. It replaces one of the same name when it is finished, and not before; of two that are written
+    /// at once the later to be finished stays.
     ///
     /// # Errors
     /// [`io::ErrorKind::InvalidInput`] for what is no name, or what the storage says.
@@ -36,8 +36,8 @@ pub trait Blobs: Send + Sync {
     /// What the storage says.
     fn list(&self, prefix: &str) -> io::Result<Vec<Listed>>;
 
-    /// Takes a local file over as the blob of this name, which is on durable storage when this returns, and the file gone.
-    /// O(bytes), but where it can be moved.
+    /// Takes a local file over as the blob of this name, which is on durable storage when this returns, and the file
+    /// gone. O(bytes), but where it can be moved.
     ///
     /// # Errors
     /// Of the file, or what the storage says; the file is there still, or the blob is.
@@ -48,8 +48,8 @@ pub trait Blobs: Send + Sync {
         fs::remove_file(file)
     }
 
-    /// Makes a local file of a blob, instead of what is there. It is only to be read: it may be the blob itself. O(bytes), but
-    /// where it can be linked.
+    /// Makes a local file of a blob, instead of what is there. It is only to be read: it may be the blob itself.
+    /// O(bytes), but where it can be linked.
     ///
     /// # Errors
     /// As [`Blobs::open`], or what the disk says; there is no such file then.
@@ -77,8 +77,8 @@ pub trait BlobWriter: Write + Send {
     /// Brings the blob to durable storage under its name: it is there whole, whatever happens after this returns.
     ///
     /// # Errors
-    /// What the storage says. The name has what it had before then, or, where the storage's answer did not come, the whole
-    /// blob.
+    /// What the storage says. The name has what it had before then, or, where the storage's answer did not come, the
+    /// whole blob.
     fn finish(self: Box<Self>) -> io::Result<()>;
 }
 

@@ -2,7 +2,8 @@
 
 use std::time::Duration;
 
-/// What the environment says of object stores, and for how long one is tried. It may hold secrets, so it cannot be printed.
+/// What the environment says of object stores, and for how long one is tried. It may hold secrets, so it cannot be
+/// printed.
 #[derive(Clone)]
 pub struct Settings {
     variables: Vec<(String, String)>,
@@ -14,8 +15,8 @@ pub struct Settings {
 pub struct Patience {
     /// For one request, its bytes included: up to 8 MiB, and 64 MiB beyond the first 42 GB of a blob.
     pub request: Duration,
-    /// For one step, with all that is tried again: what takes longer ends in [`std::io::ErrorKind::TimedOut`]. A step is a
-    /// piece that is read or written, a page of a list, or whatever else needs one answer.
+    /// For one step, with all that is tried again: what takes longer ends in [`std::io::ErrorKind::TimedOut`]. A step
+    /// is a piece that is read or written, a page of a list, or whatever else needs one answer.
     pub step: Duration,
 }
 
@@ -27,9 +28,9 @@ impl Default for Patience {
 }
 
 impl Settings {
-    /// Those of the program: `AWS_ACCESS_KEY_ID`, `AWS_SECRET_ACCESS_KEY`, `AWS_SESSION_TOKEN`, `AWS_REGION`, `AWS_ENDPOINT_URL`,
-    /// `AWS_ALLOW_HTTP`, or `AWS_WEB_IDENTITY_TOKEN_FILE` with `AWS_ROLE_ARN`, and all else of `AWS_`, `GOOGLE_` and `AZURE_` that the crate
-    /// `object_store` knows. A file of profiles is not read.
+    /// Those of the program: `AWS_ACCESS_KEY_ID`, `AWS_SECRET_ACCESS_KEY`, `AWS_SESSION_TOKEN`, `AWS_REGION`,
+    /// `AWS_ENDPOINT_URL`, `AWS_ALLOW_HTTP`, or `AWS_WEB_IDENTITY_TOKEN_FILE` with `AWS_ROLE_ARN`, and all else of
+    /// `AWS_`, `GOOGLE_` and `AZURE_` that the crate `object_store` knows. A file of profiles is not read.
     #[must_use]
     pub fn from_env() -> Self {
         let text = |(name, value): (std::ffi::OsString, std::ffi::OsString)| {

@@ -21,12 +21,12 @@ use writer::Writer;
 
 /// Blobs as objects of a bucket: a blob's key is the prefix, a slash, and its name.
 ///
-/// Each call blocks until the store has answered, or for as long as [`Patience`] says; it may be made from any thread. All
-/// stores of a program share one thread. A writer takes up to two parts of memory, 8 MiB each (64 MiB beyond the first 42 GB),
-/// and a reader as much.
+/// Each call blocks until the store has answered, or for as long as [`Patience`] says; it may be made from any
+/// thread. All stores of a program share one thread. A writer takes up to two parts of memory, 8 MiB each (64 MiB
+/// beyond the first 42 GB), and a reader as much.
 ///
-/// A program that is killed while it writes leaves parts that no list shows and that are paid for: give the bucket a rule that
-/// aborts incomplete multipart uploads after a day.
+/// A program that is killed while it writes leaves parts that no list shows and that are paid for: give the bucket a
+/// rule that aborts incomplete multipart uploads after a day.
 #[derive(Clone)]
 pub struct Objects(Arc<Place>);
 

@@ -14,8 +14,8 @@ use super::{CliError, tiled};
 /// Where a step works on a plan that lies elsewhere.
 #[derive(Debug, Clone, Args)]
 pub(super) struct AwayArgs {
-    /// Where temporary files lie if FOLDER is an address: those of the whole plan to plan it, of a tile to run it, and what LAZ
-    /// and COPC are made in to join it [default: the system's folder for temporary files]
+    /// Where temporary files lie if FOLDER is an address: those of the whole plan to plan it, of a tile to run it,
+    /// and what LAZ and COPC are made in to join it [default: the system's folder for temporary files]
     #[arg(long, env = "DENSECLOUD_TEMP_DIR", value_name = "DIR")]
     temp_dir: Option<PathBuf>,
 }
@@ -66,7 +66,8 @@ impl Away {
         |why| tiled::failed(&self.address, why)
     }
 
-    /// The names of all that was planned there and made of it. What another planning left that was stopped is among them.
+    /// The names of all that was planned there and made of it. What another planning left that was stopped is among
+    /// them.
     fn names(&self) -> Result<Vec<String>, CliError> {
         let listed = [PLAN, PART].map(|prefix| self.blobs.list(prefix));
         let mut names = Vec::new();
