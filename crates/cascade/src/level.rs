@@ -165,6 +165,9 @@ impl Level {
         let mut merged = without_strays(&made, &limits, &reference, &mut globals.levels[number]);
         drop((made, local));
         if merged.points.len() < share(FEWEST) {
+            if let Some(part) = part {
+                part.suffices(merged.points.len())?;
+            }
             let why = "it made points that are not finite; the model is unusable".into();
             return Err(BackendError::Run { unit: unit + 1, why }.into());
         }

@@ -406,7 +406,10 @@ impl Jobs {
             drop(running);
             let more = self.expire();
             if let Keeping::Shared { process, .. } = &self.settings.keeping {
-                self.attend(process);
+                // Whoever only takes jobs keeps no other from doing them.
+                if self.settings.running > 0 {
+                    self.attend(process);
+                }
                 if collected.elapsed() > COLLECT {
                     collected = Instant::now();
                     self.collect();

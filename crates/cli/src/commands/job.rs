@@ -23,7 +23,7 @@ Examples:
   densecloud job watch $id
   densecloud job get $id dense.ply")]
 pub(super) struct JobArgs {
-    /// Where the server is; it must have been started with --data-dir
+    /// Where the server is; it must have been started with --data-dir or --database
     #[arg(
         long,
         global = true,

@@ -330,7 +330,7 @@ impl JobsArgs {
             database: database.to_owned(),
             store: store.to_owned(),
             process: format!("{}, process {}, {:x}", host.display(), std::process::id(), started.as_millis()),
-            kind: format!("{}, {} {}", env!("CARGO_PKG_VERSION"), name.name, name.sha256),
+            kind: format!("{}, {} {}, {}", env!("CARGO_PKG_VERSION"), name.name, name.sha256, processor()),
         }
     }
 
@@ -359,6 +359,16 @@ impl JobsArgs {
             attempts: self.job_attempts,
         }))
     }
+}
+
+/// The kind of this machine's processor, as far as results depend on it: with AVX2 sums go in another order than without,
+/// and with AVX-512 in the same.
+fn processor() -> &'static str {
+    #[cfg(target_arch = "x86_64")]
+    if std::arch::is_x86_feature_detected!("avx2") && std::arch::is_x86_feature_detected!("fma") {
+        return "x86_64 with AVX2";
+    }
+    std::env::consts::ARCH
 }
 
 /// Who may ask.

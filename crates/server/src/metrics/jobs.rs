@@ -23,7 +23,7 @@ pub(super) fn describe(recorder: &PrometheusRecorder) {
         (JOBS, None, "Jobs that are kept, by state"),
         (STEPS_WAITING, None, "Steps of jobs that wait for a worker"),
         (OLDEST, Some(Unit::Seconds), "How long ago the oldest job came that waits to be begun"),
-        (WORKERS, None, "Processes that share the jobs and were seen of late"),
+        (WORKERS, None, "Processes that work on the jobs and were seen of late"),
     ] {
         recorder.describe_gauge(name.into(), unit, text.into());
     }
