@@ -102,7 +102,10 @@ pub async fn run(
     let mut shutdown = pin!(shutdown);
     let jobs = tokio::select! {
         opened = open_when_there(&config) => opened?,
-        () = shutdown.as_mut() => return Ok(()),
+        () = shutdown.as_mut() => {
+            tracing::info!("stopped");
+            return Ok(());
+        }
     };
     let app = Arc::new(App::new(engine.clone(), config.clone(), jobs).map_err(|e| internal(&e))?);
     let warm_up = async {
