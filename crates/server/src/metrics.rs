@@ -185,6 +185,7 @@ impl Metrics {
                 metrics.requests(interface, outcome).increment(0);
             }
         }
+        metrics.steps_from_the_start();
         metrics::with_local_recorder(&metrics.recorder, || metrics.process.describe());
         let labels = vec![
             Label::new("model", model.name.name.clone()),
@@ -314,7 +315,8 @@ mod tests {
             .collect();
         assert!(asked.len() > 5, "{asked:?}");
         for outcome in asked {
-            assert!(FROM_THE_START.contains(&outcome), "{outcome}");
+            let of_steps = How::ALL.iter().any(|how| how.name() == outcome);
+            assert!(FROM_THE_START.contains(&outcome) || of_steps, "{outcome}");
         }
     }
 
@@ -338,6 +340,7 @@ mod tests {
             "densecloud_log_lines_lost_total 0",
             "densecloud_keys_reloads_total{outcome=\"failed\"} 0",
             "densecloud_event_streams 0",
+            "densecloud_steps_total{step=\"tile\",outcome=\"lost\"} 0",
         ] {
             assert!(page.lines().any(|l| l == line), "{line} is missing in\n{page}");
         }

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use metrics::{Gauge, Key, Label, Recorder, Unit};
+use metrics::{Counter, Gauge, Key, Label, Recorder, Unit};
 use metrics_exporter_prometheus::PrometheusRecorder;
 
 use super::{METADATA, Metrics};
@@ -61,10 +61,24 @@ impl Metrics {
     /// A step of a job ended here.
     pub(crate) fn step(&self, step: Step, how: How, took: Duration) {
         let label = Label::from_static_parts("step", step.name());
-        let key = Key::from_parts(STEP, vec![label.clone()]);
+        let key = Key::from_parts(STEP, vec![label]);
         self.recorder.register_histogram(&key, &METADATA).record(took);
-        let labels = vec![label, Label::from_static_parts("outcome", how.name())];
-        self.recorder.register_counter(&Key::from_parts(STEPS, labels), &METADATA).increment(1);
+        self.steps(step, how).increment(1);
+    }
+
+    /// The first of each is seen as a change, from none.
+    pub(super) fn steps_from_the_start(&self) {
+        for step in [Step::Whole, Step::Tile(0), Step::Join] {
+            How::ALL.iter().for_each(|how| self.steps(step, *how).increment(0));
+        }
+    }
+
+    fn steps(&self, step: Step, how: How) -> Counter {
+        let labels = vec![
+            Label::from_static_parts("step", step.name()),
+            Label::from_static_parts("outcome", how.name()),
+        ];
+        self.recorder.register_counter(&Key::from_parts(STEPS, labels), &METADATA)
     }
 
     /// What the threads of jobs have come to so far: times that leases could not be extended, and bytes read from and
