@@ -338,10 +338,8 @@ fn a_job_goes_on_with_the_tiles_that_were_done() {
         server.post("/jobs?ratio=2&tile_points=1000", &body).header("location").expect("one").to_owned();
     let job = |server: &Server| -> Value { serde_json::from_slice(&server.get(&path).body).expect("JSON") };
     let (tiles, files) = (folder.path().join("tiles"), folder.path().join("files"));
-    let second = |entry: std::fs::DirEntry| entry.file_name().to_string_lossy().ends_with("part1.done");
-    wait_until("two tiles are done", || {
-        std::fs::read_dir(&files).is_ok_and(|mut all| all.any(|entry| second(entry.unwrap())))
-    });
+    let two = "densecloud_steps_total{step=\"tile\",outcome=\"done\"} 2";
+    wait_until("two tiles are kept", || server.get("/metrics").text().contains(two));
     server.stop();
     wait_until("it is draining", || !server.is_ready());
     backend.open();
