@@ -185,14 +185,6 @@ impl Tiling {
         }
     }
 
-    /// The points that a tile gave; none where it is not done.
-    ///
-    /// # Errors
-    /// [`TilesError::File`], [`TilesError::Broken`].
-    pub fn points_made(&self, tile: u32) -> Result<Option<u64>, TilesError> {
-        Ok(self.done(tile)?.map(|done| done.points))
-    }
-
     /// The numbers of the tiles that are not done.
     ///
     /// # Errors

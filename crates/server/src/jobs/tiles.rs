@@ -7,6 +7,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use super::work::{caller, ended, stopped, unwritten};
+use crate::admission::budget::Held;
 use crate::app::App;
 use crate::http::upload::reader_limits;
 use crate::http::upsample::About;
@@ -48,6 +49,11 @@ fn failed(error: TilesError, job: &Record) -> Stopped {
     }
 }
 
+/// A share of the disk, while a step needs it.
+fn on_disk(app: &App, bytes: u64, job: &Record) -> Result<Held, Stopped> {
+    app.disk.hold(bytes).ok_or_else(|| stopped(&app.disk_full(), job))
+}
+
 /// Plans the tiles of a cloud.
 pub(super) fn plan(
     app: &Arc<App>,
@@ -75,6 +81,7 @@ pub(super) fn plan(
     app.check_points(report.points_in, report.points_out).map_err(|problem| stopped(&problem, job))?;
     let sizes: Vec<u64> = (0..tiling.len()).map(|tile| tiling.points(tile)[2]).collect();
     let bytes = tiling.disk_bytes();
+    let _on_disk = on_disk(app, bytes, job)?;
     Shelf::new(Arc::clone(&place.blobs), &place.own).put_plan(tiling).map_err(|error| failed(error, job))?;
     Ok(Begun::Split { sizes, bytes })
 }
@@ -98,6 +105,7 @@ pub(super) fn run(
     shelf.get_plan(&folder).and_then(|()| shelf.get_tile(tile, &folder)).map_err(wrong)?;
     let tiling = Arc::new(Tiling::load(&folder).map_err(wrong)?);
     tiling.check(&app.config.model.name).map_err(wrong)?;
+    let _on_disk = on_disk(app, tiling.disk_bytes() / u64::from(tiling.len()), job)?;
     let permit = app.engine.reserve(&caller, cost_of(&tiling, tile, &options));
     let permit = permit.map_err(|refusal| ended(refusal.into(), job))?;
     let share = tiling.points(tile)[2] as f64 / tiling.report().points_out.max(1) as f64;
