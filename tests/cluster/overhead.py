@@ -2,7 +2,8 @@
 
     .venv/bin/python tests/cluster/overhead.py --program target/release/densecloud
 
-Tells seconds of processor of the program itself, and seconds by the clock, for the same tiles. Workers have a thread each.
+Tells seconds of processor of the program itself, and seconds by the clock, for the same tiles: medians of rounds that
+have each kind once, so that a machine which becomes slower does so for all. Workers have a thread each.
 """
 
 import argparse
@@ -10,6 +11,7 @@ import json
 import os
 import pathlib
 import resource
+import statistics
 import subprocess
 import sys
 import tempfile
@@ -74,6 +76,7 @@ def main() -> None:
     parser.add_argument("--program", default="target/release/densecloud")
     parser.add_argument("--points", type=int, default=400_000)
     parser.add_argument("--tile-points", type=int, default=40_000)
+    parser.add_argument("--rounds", type=int, default=3)
     args = parser.parse_args()
     program, query = (
         str(pathlib.Path(args.program).resolve()),
@@ -95,25 +98,39 @@ def main() -> None:
             ],
             check=True,
         )
-        cpu, wall = alone(
-            program, cloud, [f"--{pair.replace('_', '-')}" for pair in query.split("&")]
-        )
-        print(f"one machine, one thread: {cpu:.1f} s of processor, {wall:.1f} s")
+        options = [f"--{pair.replace('_', '-')}" for pair in query.split("&")]
         postgres, store = Postgres(folder), Store(folder)
         try:
-            for workers in (1, 2, 4):
-                fleet = Fleet(program, folder, postgres.address, store.port, lease=30)
-                try:
-                    fleet.start(servers=1, workers=workers)
-                    took, seconds = shared(fleet, cloud, query)
-                finally:
-                    fleet.stop()
-                print(
-                    f"{workers} workers: {took:.1f} s of processor ({took / cpu - 1:+.1%}), {seconds:.1f} s"
-                )
+            rounds = []
+            for _ in range(args.rounds):
+                rounds.append({0: alone(program, cloud, options)})
+                for workers in (1, 2, 4):
+                    fleet = Fleet(
+                        program, folder, postgres.address, store.port, lease=30
+                    )
+                    try:
+                        fleet.start(servers=1, workers=workers)
+                        rounds[-1][workers] = shared(fleet, cloud, query)
+                    finally:
+                        fleet.stop()
         finally:
             store.stop()
             postgres.kill()
+    tell(rounds)
+
+
+def tell(rounds: list[dict[int, tuple[float, float]]]) -> None:
+    """Medians, and the least and most that a round has more than one machine in the same round."""
+    for workers in rounds[0]:
+        took, wall = (
+            statistics.median(one[workers][k] for one in rounds) for k in (0, 1)
+        )
+        more = sorted(one[workers][0] / one[0][0] - 1 for one in rounds)
+        name = f"{workers} workers" if workers else "one machine"
+        print(
+            f"{name}: {took:.1f} s of processor, {wall:.1f} s; more than alone"
+            f" {statistics.median(more):+.1%} ({more[0]:+.1%} to {more[-1]:+.1%})"
+        )
 
 
 if __name__ == "__main__":
