@@ -1,7 +1,7 @@
 //! Whether a change was kept of which nobody heard: the connection was lost before the database said so. Whoever tries
 //! it again finds nothing to change then, and asks here.
 
-use deadpool_postgres::Transaction;
+use deadpool_postgres::{GenericClient, Transaction};
 
 use super::rows::{Values, collect};
 use super::steps::held;
@@ -10,7 +10,7 @@ use crate::columns::{failure_text, result_text};
 use crate::record::{Failure, ResultFile};
 use crate::records::{Lease, Step};
 
-async fn is(database: &Transaction<'_>, from: &str, values: Values<'_>) -> Result<bool, Failed> {
+async fn is(database: &impl GenericClient, from: &str, values: Values<'_>) -> Result<bool, Failed> {
     let found = collect(database, &format!("SELECT FROM {from}"), values, |_| Ok(())).await?;
     Ok(!found.is_empty())
 }
@@ -37,7 +37,11 @@ pub(super) async fn failed(
 }
 
 /// The tile is done under this lease, and its job is not over.
-pub(super) async fn tile_done(database: &Transaction<'_>, lease: &Lease, part: &str) -> Result<bool, Failed> {
+pub(super) async fn tile_done(
+    database: &impl GenericClient,
+    lease: &Lease,
+    part: &str,
+) -> Result<bool, Failed> {
     let (id, attempt) = held(lease);
     let from = "tiles WHERE job = $1 AND claims = $2 AND state = 'done' AND blob = $3";
     is(database, from, &[&id, &attempt, &part]).await

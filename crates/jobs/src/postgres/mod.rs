@@ -3,7 +3,8 @@
 //! | file | holds |
 //! |---|---|
 //! | `address`, `password`, `tls` | where the database is, and how it is reached |
-//! | `connection` | connections, and calls that end by a deadline, whatever becomes of the database |
+//! | `connection` | connections |
+//! | `calls` | calls that end by a deadline, whatever becomes of the database |
 //! | `trouble` | what went wrong, as the caller sees it |
 //! | `admission` | whether a job may come, and its row |
 //! | `happened` | whether a change was kept of which nobody heard |
@@ -14,6 +15,7 @@
 
 mod address;
 mod admission;
+mod calls;
 mod clock;
 mod connection;
 mod connector;
@@ -30,6 +32,7 @@ mod trouble;
 use std::cell::RefCell;
 use std::sync::Arc;
 
+use deadpool_postgres::Client;
 use tokio_postgres::Row;
 
 use crate::clock::Clock;
@@ -46,15 +49,15 @@ pub use password::Password;
 use connection::Database;
 use rows::{change, collect, find, load, one, select, small, used};
 use steps::{
-    BY_TILE, FAILED, FREE, HELD, TILE_HELD, TILE_ROW, claim, held, lapse, next_turn, pass, put_back,
+    BY_TILE, FAILED, FREE, HELD, TILE_HELD, TILE_ROW, claim, claimed, held, lapse, next_turn, pass, put_back,
 };
 use trouble::Failed;
 
 /// Records in a Postgres database. Each call ends by a deadline: where the database is not there by then, as an error
 /// that [`StoreError::is_away`].
 ///
-/// What changes a row comes one after another, over all programs: each transaction first locks the one row of totals,
-/// which most of them change anyway. So turns and limits are as exact as in one program, and nothing waits in a circle.
+/// What changes a row comes one after another, over all programs, by a lock that each transaction takes first. So turns and
+/// limits are as exact as in one program, and nothing waits in a circle.
 pub struct Postgres {
     database: Database,
     kind: String,
@@ -95,6 +98,12 @@ impl Postgres {
     pub(crate) fn execute(address: &Address, password: &Password, sql: &str) -> Result<(), StoreError> {
         let database = Database::new(address, Some(password), Limits::default())?;
         database.prepare(async |transaction| Ok(transaction.batch_execute(sql).await?))
+    }
+
+    /// What makes the tables as the first version had them.
+    #[cfg(test)]
+    pub(crate) fn first() -> String {
+        schema::first()
     }
 
     /// What anybody may ask whose answer is one number.
@@ -152,7 +161,8 @@ impl Records for Postgres {
 
     // A lease that nobody heard of runs out.
     fn claim(&self, worker: &str, now: Time, until: Time) -> Result<Option<Lease>, StoreError> {
-        self.database.write_once(async |database| claim(database, &self.kind, worker, [now, until]).await)
+        let lease = |row: &Row| claimed(row, worker, until);
+        Ok(self.database.take(&claim(), &[&self.kind, &worker, &now, &until], lease)?.pop())
     }
 
     fn lapse(&self, time: Time, now: Time) -> Result<Vec<Lapsed>, StoreError> {
@@ -184,8 +194,8 @@ impl Records for Postgres {
             Step::Whole | Step::Join => ("jobs", HELD),
         };
         let (id, attempt) = held(lease);
-        let sql = format!("UPDATE {table} SET until = $3 WHERE {held_by}");
-        self.database.write(async |database, _| change(database, &sql, &[&id, &attempt, &until]).await)
+        let sql = format!("UPDATE {table} SET until = $3 WHERE {held_by} RETURNING 1");
+        self.database.set(&sql, &[&id, &attempt, &until], async |_| Ok(false))
     }
 
     fn split(&self, lease: &Lease, plan: &str, sizes: &[u64], bytes: u64) -> Result<bool, StoreError> {
@@ -213,12 +223,10 @@ impl Records for Postgres {
         let sql = format!(
             "WITH done AS (UPDATE tiles SET state = 'done', blob = $3, {FREE} WHERE {TILE_HELD} RETURNING job) \
              UPDATE jobs SET tiles_done = tiles_done + 1, points_done = points_done + $4, \
-             waits = waits OR tiles_done + 1 = tiles FROM done WHERE id = done.job"
+             waits = waits OR tiles_done + 1 = tiles FROM done WHERE id = done.job RETURNING 1"
         );
-        self.database.write(async |database, again| {
-            let done = change(database, &sql, &[&id, &attempt, &part, &points]).await?;
-            Ok(done || again && happened::tile_done(database, lease, part).await?)
-        })
+        let happened = async |database: &Client| happened::tile_done(database, lease, part).await;
+        self.database.set(&sql, &[&id, &attempt, &part, &points], happened)
     }
 
     fn parts(&self, id: &str) -> Result<Vec<(u32, String)>, StoreError> {

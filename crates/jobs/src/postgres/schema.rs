@@ -12,13 +12,13 @@ use super::trouble::Failed;
 use crate::error::StoreError;
 
 /// Of the schema.
-const VERSION: i64 = 1;
+const VERSION: i64 = 2;
 
 /// Programs that know this version can still work with the newest.
 const OLDEST: i64 = 1;
 
 /// Steps to a version from the one before it: the first is that to version 1.
-const STEPS: [&str; VERSION as usize] = [FIRST];
+const STEPS: [&str; VERSION as usize] = [FIRST, SECOND];
 
 /// Where there is no table of it, there is none of the others.
 const VERSIONS: &str = "CREATE TABLE version (version BIGINT NOT NULL, oldest BIGINT NOT NULL);
@@ -150,6 +150,55 @@ const FIRST: &str = "
         WHEN (new.state NOT IN ('queued', 'running')) EXECUTE FUNCTION jobs_end();
     CREATE TRIGGER jobs_tell AFTER UPDATE OF state, waits, tiles_done ON jobs FOR EACH ROW
         EXECUTE FUNCTION jobs_tell();";
+
+// All wait for a claim, and each who listens is woken by what is told: so a claim writes each row once, and of a job's
+// tiles only each hundredth is told of.
+const SECOND: &str = "
+    CREATE OR REPLACE FUNCTION jobs_tell() RETURNS trigger LANGUAGE plpgsql SET search_path FROM CURRENT AS $$ BEGIN
+        IF new.waits AND NOT old.waits THEN
+            PERFORM pg_notify(TG_TABLE_SCHEMA, 'waits');
+        END IF;
+        IF new.state NOT IN ('queued', 'running') OR new.state = 'queued' AND old.state = 'running' THEN
+            PERFORM pg_notify(TG_TABLE_SCHEMA, 'over ' || new.id);
+        ELSIF new.state <> old.state
+            OR 100::bigint * new.tiles_done / new.tiles IS DISTINCT FROM 100::bigint * old.tiles_done / old.tiles THEN
+            PERFORM pg_notify(TG_TABLE_SCHEMA, 'other');
+        END IF;
+        RETURN NULL;
+    END $$;
+    CREATE OR REPLACE FUNCTION claim(of_kind TEXT, by_worker TEXT, at BIGINT, up_to BIGINT, OUT job jobs,
+        OUT of_tile INTEGER) LANGUAGE plpgsql SET search_path FROM CURRENT AS $$
+    #variable_conflict use_column
+    DECLARE next jobs;
+    BEGIN
+        PERFORM FROM totals FOR UPDATE;
+        SELECT * INTO next FROM jobs WHERE waits AND kind = of_kind ORDER BY turn, number LIMIT 1;
+        SELECT min(tile) INTO of_tile FROM tiles WHERE state = 'waiting' AND job = next.id;
+        IF of_tile IS NULL THEN
+            UPDATE jobs SET state = 'running', attempts = attempts + 1,
+                started = CASE WHEN tiles IS NULL THEN at ELSE started END,
+                claims = claims + 1, worker = by_worker, until = up_to, waits = false
+                WHERE id = next.id RETURNING jobs.* INTO job;
+            RETURN;
+        END IF;
+        -- The clock goes on by the job's turn, which then is another.
+        UPDATE totals SET clock = greatest(clock, next.turn);
+        next.claims := next.claims + 1;
+        UPDATE tiles SET state = 'running', attempts = attempts + 1, claims = next.claims, worker = by_worker,
+            until = up_to WHERE job = next.id AND tile = of_tile;
+        UPDATE jobs SET claims = next.claims,
+            waits = EXISTS (SELECT FROM tiles WHERE job = next.id AND state = 'waiting'),
+            turn = 1 + greatest((SELECT clock FROM totals), (SELECT coalesce(max(turn), 0) FROM jobs
+                WHERE client = next.client AND state IN ('queued', 'running')))
+            WHERE id = next.id;
+        job := next;
+    END $$;";
+
+/// What makes the tables as the first version had them.
+#[cfg(test)]
+pub(super) fn first() -> String {
+    format!("{VERSIONS}; {FIRST}; UPDATE version SET version = 1, oldest = 1")
+}
 
 /// Whether nothing is to be done: to see that, the right to read is enough.
 ///

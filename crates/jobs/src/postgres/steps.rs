@@ -3,7 +3,7 @@
 use deadpool_postgres::Transaction;
 use tokio_postgres::Row;
 
-use super::rows::{self, COLUMNS, change, collect, small};
+use super::rows::{self, COLUMNS, change, small};
 use super::trouble::Failed;
 use crate::columns::{failure_text, integer};
 use crate::record::{Failure, State, Time};
@@ -98,21 +98,17 @@ pub(super) async fn pass(database: &Transaction<'_>, lease: &Lease) -> Result<()
     Ok(())
 }
 
-/// Gives a worker the step of a kind whose turn it is.
-pub(super) async fn claim(
-    database: &Transaction<'_>,
-    kind: &str,
-    worker: &str,
-    [now, until]: [Time; 2],
-) -> Result<Option<Lease>, Failed> {
+/// Gives a worker, `$2`, the step of a kind, `$1`, whose turn it is, at `$3` until `$4`.
+pub(super) fn claim() -> String {
     let columns = COLUMNS.replace(", ", ", (job).");
-    let sql = format!(
+    format!(
         "SELECT (job).{columns}, (job).claims, of_tile FROM claim($1, $2, $3, $4) WHERE (job).id IS NOT NULL"
-    );
-    let lease = |row: &Row| {
-        let (count, tile): (Option<i32>, Option<i32>) = (row.try_get(18)?, row.try_get(22)?);
-        let of_tiles = || tile.map(small).map_or(Step::Join, Step::Tile);
-        rows::lease(row, if count.is_none() { Step::Whole } else { of_tiles() }, worker, until)
-    };
-    Ok(collect(database, &sql, &[&kind, &worker, &now, &until], lease).await?.pop())
+    )
+}
+
+/// What a row of [`claim`] leases.
+pub(super) fn claimed(row: &Row, worker: &str, until: Time) -> Result<Lease, Failed> {
+    let (count, tile): (Option<i32>, Option<i32>) = (row.try_get(18)?, row.try_get(22)?);
+    let of_tiles = || tile.map(small).map_or(Step::Join, Step::Tile);
+    rows::lease(row, if count.is_none() { Step::Whole } else { of_tiles() }, worker, until)
 }

@@ -78,6 +78,14 @@ pub(super) fn failed(error: Error) -> StoreError {
     StoreError::Database { trouble: trouble(&error), source: whole(&error).into() }
 }
 
+pub(super) fn away(why: impl ToString) -> StoreError {
+    StoreError::Database { trouble: Trouble::Away, source: why.to_string().into() }
+}
+
+pub(super) fn unsure(why: impl ToString) -> StoreError {
+    StoreError::Database { trouble: Trouble::Unsure, source: why.to_string().into() }
+}
+
 /// What an error says, with all that is behind it: the library's tell of themselves alone.
 pub(super) fn whole(error: &dyn std::error::Error) -> String {
     let mut text = error.to_string();

@@ -150,19 +150,48 @@ fn hear(told: &Receiver<Change>, what: &Change) {
     while told.recv().expect("the records are there") != *what {}
 }
 
+/// What is told by these records from now on.
+fn listen(records: &Postgres) -> Receiver<Change> {
+    let (tell, told) = channel();
+    let tell = Mutex::new(tell);
+    records.listen(Arc::new(move |change| {
+        // Nobody may listen any more.
+        let _ = tell.lock().expect("no panic under it").send(change);
+    }));
+    // Whatever was missed.
+    hear(&told, &Change::Other);
+    told
+}
+
+#[test]
+#[ignore = "needs scripts/with-services.sh"]
+fn of_many_tiles_each_hundredth_is_told() {
+    let bench = Bench::of(Engine::Postgres);
+    let records = bench.postgres(bench.port(), "kind", BOUNDS);
+    let id = put(&records, &of("a", None), 0);
+    let told = listen(&records);
+    let lease = claim(&records, 1);
+    assert!(records.split(&lease, "plan", &[1; 1000], 0).expect("no fault"));
+    for _ in 0..25 {
+        let tile = claim(&records, 2);
+        assert!(records.tile_done(&tile, "part", 1).expect("no fault"));
+    }
+    assert!(records.cancel(&id, 3).expect("no fault"));
+    let mut changes: Vec<_> = told.iter().take_while(|change| *change != Change::Over(id.clone())).collect();
+    changes.extend(told.try_iter());
+    let others = changes.iter().filter(|change| **change == Change::Other).count();
+    assert!(others <= 4, "it was begun and planned, and 10 and 20 tiles were done: {changes:?}");
+}
+
 #[test]
 #[ignore = "needs scripts/with-services.sh"]
 fn changes_are_told_to_all_again_once_a_lost_connection_is_back() {
     let world = Faulty::new();
-    let (tell, told) = channel();
-    let tell = Mutex::new(tell);
-    world.far.listen(Arc::new(move |change| {
-        // Nobody may listen any more.
-        let _ = tell.lock().expect("no panic under it").send(change);
-    }));
-    for _ in 0..2 {
-        // Whatever was missed.
-        hear(&told, &Change::Other);
+    let told = listen(&world.far);
+    for round in 0..2 {
+        if round > 0 {
+            hear(&told, &Change::Other);
+        }
         let id = put(&*world.near, &of("a", None), 0);
         hear(&told, &Change::Waits);
         let lease = claim(&*world.near, 1);

@@ -169,6 +169,21 @@ fn a_folder_of_version_3_is_gone_on_with() {
 
 #[test]
 #[ignore = "needs scripts/with-services.sh"]
+fn a_database_of_the_first_version_is_gone_on_with() {
+    use super::records::{claim, put};
+    let bench = Bench::of(engine::Engine::Postgres);
+    bench.execute(&format!("CREATE SCHEMA {}; {}", bench.schema(), Postgres::first())).expect("rights");
+    let records = bench.postgres(bench.port(), "kind", BOUNDS);
+    assert_eq!(records.ask("SELECT version FROM version"), 2);
+    put(&records, &of("a", None), 0);
+    let plan = claim(&records, 1);
+    assert!(records.split(&plan, "plan", &[1; 2], 0).expect("no fault"));
+    assert_eq!([claim(&records, 2).step, claim(&records, 2).step], [Step::Tile(0), Step::Tile(1)]);
+    assert_eq!(records.ask("SELECT oldest FROM version"), 1, "programs of before go on beside it");
+}
+
+#[test]
+#[ignore = "needs scripts/with-services.sh"]
 fn programs_that_start_at_once_make_one_schema() {
     let bench = Bench::of(engine::Engine::Postgres);
     std::thread::scope(|scope| {
