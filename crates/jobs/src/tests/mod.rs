@@ -3,6 +3,7 @@
 mod engine;
 mod faults;
 mod fleet;
+mod gate;
 mod migrations;
 mod model;
 mod proxy;

@@ -77,9 +77,9 @@ fn read(place: &Place, name: &str) -> String {
 }
 
 /// Its other ends: ids of jobs one way, ends of their work the other.
-type Ends = (Receiver<String>, Sender<Result<(), Stopped>>);
+pub(super) type Ends = (Receiver<String>, Sender<Result<(), Stopped>>);
 
-fn told() -> (Arc<dyn Work>, Ends) {
+pub(super) fn told() -> (Arc<dyn Work>, Ends) {
     let (at, arrived) = channel();
     let (go, going) = channel();
     (Arc::new(Told { at: Mutex::new(at), go: Mutex::new(going) }), (arrived, go))
@@ -101,10 +101,10 @@ impl Clock for Watch {
 }
 
 /// Longer than anything here takes.
-const LONG: Duration = Duration::from_secs(60);
+pub(super) const LONG: Duration = Duration::from_secs(60);
 
 /// Until something is so, each time that a job changes.
-fn wait_until(jobs: &Jobs, mut so: impl FnMut() -> bool) {
+pub(super) fn wait_until(jobs: &Jobs, mut so: impl FnMut() -> bool) {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_time().build().expect("a runtime");
     let mut changes = jobs.changes();
     // Asked beside the runtime: what is asked may wait.
@@ -114,7 +114,7 @@ fn wait_until(jobs: &Jobs, mut so: impl FnMut() -> bool) {
     }
 }
 
-fn keep(jobs: &Jobs, job: &NewJob) -> String {
+pub(super) fn keep(jobs: &Jobs, job: &NewJob) -> String {
     let draft = Draft::new(job.clone()).expect("a draft");
     let Admitted::New(id) = jobs.store().admit(&draft).expect("room") else { panic!("new") };
     let input = jobs.store().write_input(&id, &draft).expect("room");

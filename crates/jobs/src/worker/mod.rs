@@ -22,14 +22,14 @@ use tokio::sync::watch;
 use crate::clock::{Clock, SystemClock};
 use crate::error::StoreError;
 use crate::record::{Draft, Record, Time};
-use crate::records::{Change, Submitted};
+use crate::records::{Change, Lease, Submitted};
 use crate::settings::{Keeping, Settings};
 use crate::shared;
 use crate::store::{Input, Store};
 use crate::work::Work;
 pub use running::AtWork;
 
-use running::{Run, Running};
+use running::Running;
 
 /// What deleting did to a job.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -45,11 +45,11 @@ pub struct Jobs {
     store: Store,
     settings: Settings,
     clock: Arc<dyn Clock>,
-    // Whoever changes a state that concerns a running job holds it, so that tasks and records agree.
+    // Never held while records or blobs are asked, which may take long: what happens meanwhile is told by what it counts.
     running: Mutex<Running>,
     // Wakes the threads that run jobs.
     queued: Condvar,
-    // Wakes the thread that looks after leases and expired jobs, to end it.
+    // Wakes those that look after leases and expired jobs.
     stopped: Condvar,
     // A watch channel, so that many can wait for a change of any job.
     changes: watch::Sender<()>,
@@ -131,27 +131,39 @@ impl Jobs {
         self.store.listen(Arc::new(move |change| {
             jobs.upgrade().into_iter().for_each(|jobs| jobs.hear(&change));
         }));
-        let jobs = Arc::clone(self);
-        running.threads.push(named("densecloud-upkeep".to_owned()).spawn(move || jobs.keep_up())?);
+        let jobs = [(); 2].map(|()| Arc::clone(self));
+        let [leases, upkeep] = jobs;
+        running.threads.push(named("densecloud-leases".to_owned()).spawn(move || leases.keep_leases())?);
+        running.threads.push(named("densecloud-upkeep".to_owned()).spawn(move || upkeep.keep_up())?);
         Ok(())
     }
 
     /// Another process changed something, or this one.
     fn hear(&self, change: &Change) {
-        let mut running = self.lock();
         match change {
-            Change::Waits => self.queued.notify_all(),
-            Change::Over(id) => {
-                // Its leases are looked at now.
-                for (_, run) in running.tasks.iter_mut().filter(|((job, _), _)| job == id) {
-                    run.lease.until = Time::MIN;
-                    self.stopped.notify_all();
-                }
-            }
+            Change::Waits => self.wake_all(),
+            Change::Over(id) => self.doubt(id),
             Change::Other => {}
         }
-        drop(running);
         self.changes.send_replace(());
+    }
+
+    /// Steps came to wait.
+    fn wake_all(&self) {
+        self.lock().came += 1;
+        self.queued.notify_all();
+    }
+
+    /// One did.
+    fn wake_one(&self) {
+        self.lock().came += 1;
+        self.queued.notify_one();
+    }
+
+    /// A job is over, or waits anew: its leases are looked at now.
+    fn doubt(&self, id: &str) {
+        self.lock().doubt(id);
+        self.stopped.notify_all();
     }
 
     /// Keeps a job; see [`Store::insert`].
@@ -162,9 +174,7 @@ impl Jobs {
         let submitted = self.store.insert(draft, input, self.now())?;
         if let Submitted::New(Record { id, request_id, points_in, points_out, .. }) = &submitted {
             tracing::info!(job = id, request = request_id, points_in, points_out, "job queued");
-            // Under the lock, or a thread that is just about to wait would miss it.
-            let _running = self.lock();
-            self.queued.notify_one();
+            self.wake_one();
             self.changes.send_replace(());
         }
         Ok(submitted)
@@ -176,9 +186,8 @@ impl Jobs {
     /// # Errors
     /// What the disk says.
     pub fn delete(&self, id: &str) -> Result<Option<Deleted>, StoreError> {
-        let running = self.lock();
         let deleted = if self.store.cancel(id, self.now())? {
-            running.of(id).for_each(|run| run.task.cancel());
+            self.cancel(id);
             tracing::info!(job = id, "job cancelled");
             Some(Deleted::Cancelled)
         } else if self.store.delete(id)? {
@@ -187,9 +196,15 @@ impl Jobs {
         } else {
             None
         };
-        drop(running);
         self.changes.send_replace(());
         Ok(deleted)
+    }
+
+    /// A job is over: what is done of it is of no use.
+    fn cancel(&self, id: &str) {
+        self.lock().of(id).for_each(|run| run.task.cancel());
+        // One that is just being claimed is not there yet.
+        self.doubt(id);
     }
 
     /// The steps of a job that are at work here.
@@ -200,8 +215,8 @@ impl Jobs {
     /// Points that jobs at work here still have to make, beside one that may have begun since it was looked up.
     pub fn points_running(&self, beside: &str) -> u64 {
         let mut left: HashMap<String, f64> = HashMap::new();
-        for ((id, _), run) in &self.lock().tasks {
-            let Record { points_out, tiles, .. } = &run.lease.record;
+        for run in self.lock().all() {
+            let Record { id, points_out, tiles, .. } = &run.lease.record;
             let before = tiles.as_ref().map_or(0, |tiles| tiles.points);
             let made = run.task.progress().map_or(0.0, |progress| progress.fraction) * *points_out as f64;
             *left.entry(id.clone()).or_insert(points_out.saturating_sub(before) as f64) -= made;
@@ -217,21 +232,26 @@ impl Jobs {
     /// Puts running jobs back into the queue, on the disk, and starts no more. What the threads still do is
     /// without effect; [`Jobs::join`] waits for it.
     pub fn stop(&self) {
-        let mut running = self.lock();
-        running.stopping = true;
-        for ((id, _), Run { lease, task }) in &running.tasks {
-            task.cancel();
-            match self.store.put_back(lease) {
-                Ok(true) => tracing::info!(job = id, "job put back"),
-                Ok(false) => {}
-                // It will be found running, and so be queued, at the next start.
-                Err(error) => tracing::error!(job = id, %error, "job not put back"),
-            }
-        }
-        drop(running);
+        let leases: Vec<Lease> = {
+            let mut running = self.lock();
+            running.stopping = true;
+            running.at_work().for_each(|run| run.task.cancel());
+            running.at_work().map(|run| run.lease.clone()).collect()
+        };
         self.queued.notify_all();
         self.stopped.notify_all();
+        leases.iter().for_each(|lease| self.put_back(lease));
         self.changes.send_replace(());
+    }
+
+    fn put_back(&self, lease: &Lease) {
+        let id = &lease.record.id;
+        match self.store.put_back(lease) {
+            Ok(true) => tracing::info!(job = id, "job put back"),
+            Ok(false) => {}
+            // It will be found running, and so be queued, at the next start.
+            Err(error) => tracing::error!(job = id, %error, "job not put back"),
+        }
     }
 
     /// Waits for the threads to end after [`Jobs::stop`]: as long as a batch of patches, or as a result that

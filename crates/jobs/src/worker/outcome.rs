@@ -2,10 +2,8 @@
 
 use std::io;
 use std::panic::AssertUnwindSafe;
-use std::sync::MutexGuard;
 
 use super::Jobs;
-use super::running::Running;
 use crate::error::StoreError;
 use crate::record::{Failure, Record, ResultFile};
 use crate::records::{Lease, Step};
@@ -21,7 +19,6 @@ enum Ended {
 impl Jobs {
     /// Does a step and keeps what came of it; says how it ended, and whether the thread should wait before it tries the next.
     pub(super) fn run(&self, lease: &Lease, task: &Task, work: &dyn Work) -> (How, bool) {
-        let id = &lease.record.id;
         // A panic is a bug in one job; it must not take the thread, and all other jobs, with it.
         let ended = std::panic::catch_unwind(AssertUnwindSafe(|| self.attempt(lease, task, work)));
         let ended = ended.unwrap_or(Err(Stopped::Crashed));
@@ -29,30 +26,23 @@ impl Jobs {
             // What is left goes with the job.
             let _ = self.store.discard(lease);
         }
-        // Against `stop` and `delete`, which may just now be at it.
-        let mut running = self.lock();
-        // Under the same lock as the state: once it is put back, another thread may start it anew.
-        let key = (id.clone(), lease.step);
-        if running.tasks.get(&key).is_some_and(|run| run.lease.attempt == lease.attempt) {
-            running.tasks.remove(&key);
-        }
+        let cancelled = {
+            self.lock().is_over(lease);
+            task.cancelled()
+        };
         let kept = match ended {
-            Err(_) if task.cancelled() => Ok(How::Lost),
-            Err(stopped) => match self.stop_at(lease, stopped) {
-                Ok(Some(failure)) => {
-                    // The job is over: what others do of it is of no use.
-                    running.of(id).for_each(|run| run.task.cancel());
-                    self.fail(lease, &failure)
-                }
-                Ok(None) => Ok(How::Later),
-                Err(error) => Err(error),
-            },
+            Err(_) if cancelled => Ok(How::Lost),
+            Err(stopped) => self.stop_at(lease, stopped),
             Ok(ended) => self.keep(lease, &ended),
         };
+        let mut running = self.lock();
+        running.remove(lease);
         match kept {
             Ok(how) => (how, how == How::Later),
             Err(error) => {
-                lose(running, lease, &error);
+                // It is put back as soon as the database can be written, or at the next start.
+                tracing::error!(job = lease.record.id, %error, "a job's state cannot be kept");
+                running.lost.push(lease.clone());
                 (How::Lost, true)
             }
         }
@@ -98,11 +88,11 @@ impl Jobs {
             }
             Ended::Split { sizes, .. } => {
                 tracing::info!(job = id, request = request_id, tiles = sizes.len(), "job planned");
-                self.queued.notify_all();
+                self.wake_all();
             }
             Ended::Tile(points) => {
                 tracing::info!(job = id, request = request_id, step = ?lease.step, points, "tile done");
-                self.queued.notify_one();
+                self.wake_one();
             }
         }
         Ok(How::Done)
@@ -113,27 +103,27 @@ impl Jobs {
         self.settings.folder().is_none() && error.kind() == io::ErrorKind::PermissionDenied
     }
 
-    /// A step has no result: what its job fails of, or none where it waits again.
-    fn stop_at(&self, lease: &Lease, stopped: Stopped) -> Result<Option<Failure>, StoreError> {
+    /// A step has no result: its job fails of that, or it waits again.
+    fn stop_at(&self, lease: &Lease, stopped: Stopped) -> Result<How, StoreError> {
         let id = &lease.record.id;
-        Ok(Some(match stopped {
-            Stopped::Later | Stopped::Cancelled => return self.store.defer(lease).map(|_| None),
+        match stopped {
+            Stopped::Later | Stopped::Cancelled => self.store.defer(lease).map(|_| How::Later),
             Stopped::Storage(error) if passes(&error) || self.is_barred(&error) => {
                 tracing::warn!(job = id, %error, "a job is tried again later");
-                return self.store.defer(lease).map(|_| None);
+                self.store.defer(lease).map(|_| How::Later)
             }
             Stopped::Differs => {
                 tracing::warn!(job = id, "the tiles of a job are planned anew: they are another version's");
-                return self.store.unsplit(lease).map(|_| None);
+                self.store.unsplit(lease).map(|_| How::Later)
             }
-            Stopped::Refused(why) => Failure::Refused(why),
-            Stopped::Crashed => Failure::Crashed,
+            Stopped::Refused(why) => self.fail(lease, &Failure::Refused(why)),
+            Stopped::Crashed => self.fail(lease, &Failure::Crashed),
             Stopped::Storage(error) => {
                 tracing::error!(job = id, %error, "a job's file cannot be read or written");
                 let full = StoreError::from(io::Error::from(error.kind())).is_full();
-                Failure::Storage { why: error.to_string(), full }
+                self.fail(lease, &Failure::Storage { why: error.to_string(), full })
             }
-        }))
+        }
     }
 
     fn fail(&self, lease: &Lease, failure: &Failure) -> Result<How, StoreError> {
@@ -141,13 +131,8 @@ impl Jobs {
             return Ok(How::Lost);
         }
         let Record { id, request_id, .. } = &lease.record;
+        self.cancel(id);
         tracing::info!(job = id, request = request_id, ?failure, "job failed");
         Ok(How::Failed)
     }
-}
-
-/// The database could not be written: the job is put back as soon as that works, or at the next start.
-fn lose(mut running: MutexGuard<'_, Running>, lease: &Lease, error: &StoreError) {
-    tracing::error!(job = lease.record.id, %error, "a job's state cannot be kept");
-    running.lost.push(lease.clone());
 }

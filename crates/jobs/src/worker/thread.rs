@@ -4,7 +4,7 @@ use std::sync::{Arc, PoisonError};
 use std::time::{Duration, Instant};
 
 use super::Jobs;
-use super::running::{Run, Running};
+use super::running::Running;
 use crate::error::StoreError;
 use crate::record::Record;
 use crate::records::{Lease, Step};
@@ -30,36 +30,36 @@ impl Jobs {
 
     /// Waits for the next job; none once the store stops.
     fn next(&self, worker: &str) -> Option<(Lease, Arc<Task>)> {
-        let mut running = self.lock();
-        while !running.stopping {
-            let wait = match self.claim(&mut running, worker) {
+        loop {
+            let came = self.lock().waiting()?;
+            let wait = match self.claim(worker) {
                 Ok(Some(started)) => return Some(started),
-                Ok(None) if running.lost.is_empty() => self.look(),
+                Ok(None) if self.lock().lost.is_empty() => self.look(),
                 Ok(None) => BROKEN,
                 Err(error) => {
                     tracing::error!(%error, "no job can be started");
                     BROKEN
                 }
             };
-            running = self.queued.wait_timeout(running, wait).unwrap_or_else(PoisonError::into_inner).0;
+            let idle = |running: &mut Running| !running.stopping && running.came == came;
+            let woken = self.queued.wait_timeout_while(self.lock(), wait, idle);
+            if woken.unwrap_or_else(PoisonError::into_inner).0.stopping {
+                return None;
+            }
         }
-        None
     }
 
-    fn claim(&self, running: &mut Running, worker: &str) -> Result<Option<(Lease, Arc<Task>)>, StoreError> {
-        if !running.lost.is_empty() {
-            running.lost.retain(|lease| self.store.put_back(lease).is_err());
-            self.changes.send_replace(());
-        }
+    fn claim(&self, worker: &str) -> Result<Option<(Lease, Arc<Task>)>, StoreError> {
+        self.put_lost_back();
         // One time for both, and this first: else, after the computer has slept, a thread would take over the jobs of
         // those beside it.
         let now = self.now();
-        self.renew(running, now)?;
-        let until = now.saturating_add(self.lease());
-        let Some(lease) = self.store.claim(worker, now, until)? else { return Ok(None) };
-        let task = Arc::new(Task::default());
-        let run = Run { lease: lease.clone(), task: Arc::clone(&task) };
-        running.tasks.insert((lease.record.id.clone(), lease.step), run);
+        self.renew(now, now)?;
+        let told = self.lock().told;
+        let Some(lease) = self.store.claim(worker, now, now.saturating_add(self.lease()))? else {
+            return Ok(None);
+        };
+        let Some(task) = self.begin(&lease, told) else { return Ok(None) };
         self.changes.send_replace(());
         let Record { id, request_id, attempts, .. } = &lease.record;
         match lease.step {
@@ -67,5 +67,31 @@ impl Jobs {
             step => tracing::info!(job = id, request = request_id, ?step, "step of a job started"),
         }
         Ok(Some((lease, task)))
+    }
+
+    /// Notes a step that was claimed; puts it back where the threads are told to end meanwhile.
+    fn begin(&self, lease: &Lease, told: u64) -> Option<Arc<Task>> {
+        let mut running = self.lock();
+        if running.stopping {
+            drop(running);
+            self.put_back(lease);
+            return None;
+        }
+        let doubts = running.doubts;
+        let task = running.begin(lease, told);
+        if running.doubts != doubts {
+            self.stopped.notify_all();
+        }
+        Some(task)
+    }
+
+    /// Puts steps back whose ends could not be written.
+    fn put_lost_back(&self) {
+        let mut lost = std::mem::take(&mut self.lock().lost);
+        if !lost.is_empty() {
+            lost.retain(|lease| self.store.put_back(lease).is_err());
+            self.lock().lost.append(&mut lost);
+            self.changes.send_replace(());
+        }
     }
 }

@@ -5,7 +5,7 @@ use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant, SystemTime};
 
 use super::Jobs;
-use super::running::{Run, Running};
+use super::running::Running;
 use super::thread::PAUSE;
 use crate::error::StoreError;
 use crate::record::Time;
@@ -33,47 +33,45 @@ impl Jobs {
         LOOK.min(self.settings.lease / 4)
     }
 
-    /// Extends the leases of which half is over. Work at a job whose lease is another's is stopped.
-    pub(super) fn renew(&self, running: &mut Running, now: Time) -> Result<(), StoreError> {
-        let half_over = now.saturating_add(self.lease() / 2);
-        self.renew_those(running, now, |lease| lease.until <= half_over)
-    }
-
-    /// Extends some leases.
-    fn renew_those(
-        &self,
-        running: &mut Running,
-        now: Time,
-        which: impl Fn(&Lease) -> bool,
-    ) -> Result<(), StoreError> {
+    /// Extends the leases that are over by a time. Work at a job whose lease is another's is stopped.
+    pub(super) fn renew(&self, by: Time, now: Time) -> Result<(), StoreError> {
         let until = now.saturating_add(self.lease());
-        let mut taken = Vec::new();
-        for (key @ (id, _), Run { lease, task }) in &mut running.tasks {
-            if !which(lease) {
-                continue;
-            }
+        let due: Vec<Lease> = {
+            let running = self.lock();
+            running.at_work().map(|run| &run.lease).filter(|lease| lease.until <= by).cloned().collect()
+        };
+        due.iter().try_for_each(|lease| {
             if self.store.beat(lease, until)? {
-                lease.until = until;
-            } else {
-                tracing::warn!(job = id, "the lease of a job is another's");
-                task.cancel();
-                taken.push(key.clone());
+                self.lock().extend(lease, until);
+            } else if self.lock().give_up(lease) {
+                tracing::warn!(job = lease.record.id, "the lease of a job is another's");
             }
-        }
-        taken.iter().for_each(|key| drop(running.tasks.remove(key)));
-        Ok(())
+            Ok(())
+        })
     }
 
-    /// Extends leases, and forgets jobs when their time has come, on a thread of its own, since all others may be at
-    /// work for long.
+    /// Extends leases, on a thread of its own, since all others may be at work for long.
+    pub(super) fn keep_leases(&self) {
+        let mut running = self.lock();
+        while !running.stopping {
+            let doubts = running.doubts;
+            drop(running);
+            let now = self.now();
+            if let Err(error) = self.renew(now.saturating_add(self.lease() / 2), now) {
+                self.beats_failed.fetch_add(1, Ordering::Relaxed);
+                tracing::error!(%error, "leases of jobs cannot be extended");
+            }
+            let sure = |running: &mut Running| !running.stopping && running.doubts == doubts;
+            let woken = self.stopped.wait_timeout_while(self.lock(), self.look(), sure);
+            running = woken.unwrap_or_else(PoisonError::into_inner).0;
+        }
+    }
+
+    /// Forgets jobs when their time has come, on a thread of its own, since it may take long.
     pub(super) fn keep_up(&self) {
         let mut collected = Instant::now();
         let mut running = self.lock();
         while !running.stopping {
-            if let Err(error) = self.renew(&mut running, self.now()) {
-                self.beats_failed.fetch_add(1, Ordering::Relaxed);
-                tracing::error!(%error, "leases of jobs cannot be extended");
-            }
             drop(running);
             let more = self.expire();
             if let Keeping::Shared { process, .. } = &self.settings.keeping {
@@ -86,11 +84,10 @@ impl Jobs {
                     self.collect();
                 }
             }
-            running = self.lock();
-            if !more && !running.stopping {
-                let wait = self.look().min(self.settings.expiry.max(PAUSE));
-                running = self.stopped.wait_timeout(running, wait).unwrap_or_else(PoisonError::into_inner).0;
-            }
+            let wait = if more { Duration::ZERO } else { self.look().min(self.settings.expiry.max(PAUSE)) };
+            let going = |running: &mut Running| !running.stopping;
+            let woken = self.stopped.wait_timeout_while(self.lock(), wait, going);
+            running = woken.unwrap_or_else(PoisonError::into_inner).0;
         }
     }
 
@@ -112,8 +109,7 @@ impl Jobs {
         }
     }
 
-    /// Forgets some of the jobs whose time has come, without the lock that the other threads need; says whether there
-    /// may be more.
+    /// Forgets some of the jobs whose time has come; says whether there may be more.
     fn expire(&self) -> bool {
         let age = self.settings.expiry.as_millis().try_into().unwrap_or(Time::MAX);
         match self.store.expire(self.now().saturating_sub(age), BATCH) {
