@@ -117,6 +117,7 @@ fn main() {
     let settings = |machine: usize| Settings {
         keeping: Keeping::Shared {
             database: format!("{database}&schema=fleet{}", std::process::id()),
+            password: None,
             store: folder.path().display().to_string(),
             process: format!("machine {machine}"),
             kind: "sleeper".to_owned(),

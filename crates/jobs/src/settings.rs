@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+use crate::postgres::Password;
 use crate::records::Bounds;
 
 /// How jobs are kept and run.
@@ -35,6 +36,8 @@ pub enum Keeping {
     Shared {
         /// The address of the database (`--database`).
         database: String,
+        /// Its password (`--database-password-file`); without one it is in the environment, if there is one.
+        password: Option<Password>,
         /// The address of the store (`--store`).
         store: String,
         /// The name of this process, unlike that of any other.

@@ -9,17 +9,18 @@ use crate::postgres::{Address, Limits, Password, Postgres};
 use crate::records::Bounds;
 use crate::store::Store;
 
-/// Opens a database and a store of blobs for programs of a kind, under the database's clock. The password is in the
-/// environment: see [`Password::from_environment`].
+/// Opens a database and a store of blobs for programs of a kind, under the database's clock. Without a password it is in
+/// the environment: see [`Password::from_environment`].
 pub(crate) fn open(
     database: &str,
+    password: Option<&Password>,
     store: &str,
     kind: &str,
     bounds: Bounds,
 ) -> Result<(Store, Arc<dyn Clock>), StoreError> {
     let of_database = |source| StoreError::Database { trouble: Trouble::Other, source };
     let address = Address::parse(database).map_err(|error| of_database(error.into()))?;
-    let password = Password::from_environment(&address);
+    let password = password.map_or_else(|| Password::from_environment(&address), |own| Ok(Some(own.clone())));
     let password = password.map_err(|error| of_database(format!("its password: {error}").into()))?;
     let blobs = densecloud_blobs::open(store, &densecloud_blobs::Settings::from_env());
     let blobs = blobs.map_err(|error| StoreError::Io(io::Error::other(error)))?;

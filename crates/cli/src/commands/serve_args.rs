@@ -14,7 +14,7 @@ use super::memory::{self, Memory};
 use super::settings::SettingsArgs;
 use densecloud_backends::Model;
 use densecloud_engine::EngineConfig;
-use densecloud_jobs::{Keeping, Settings};
+use densecloud_jobs::{Keeping, Password, Settings};
 use densecloud_server::{
     Access, BasePath, Config, CorsOrigin, Keys, Limits, LinesLost, ModelInfo, Role, Timeouts,
 };
@@ -278,10 +278,14 @@ struct JobsArgs {
     #[arg(long, env = "DENSECLOUD_DATA_DIR", value_name = "DIR")]
     data_dir: Option<PathBuf>,
 
-    /// Database that servers and workers share instead of a folder, such as postgres://user@host/name; its password is in
-    /// PGPASSWORD or PGPASSFILE
+    /// Database that servers and workers share instead of a folder, such as postgres://user@host/name
     #[arg(long, env = "DENSECLOUD_DATABASE", value_name = "ADDRESS")]
     database: Option<String>,
+
+    /// File whose first line is its password, and that not everybody can read; without it the password is in PGPASSWORD or
+    /// PGPASSFILE
+    #[arg(long, env = "DENSECLOUD_DATABASE_PASSWORD_FILE", value_name = "FILE")]
+    database_password_file: Option<PathBuf>,
 
     /// Store that they share for clouds and results, such as s3://bucket/prefix, or a folder that all of them see; what it
     /// takes to reach it is in AWS_ACCESS_KEY_ID and the like
@@ -321,25 +325,36 @@ struct JobsArgs {
 
 impl JobsArgs {
     /// What this process shares with others.
-    fn shared(&self, database: &str, store: &str, model: &Model) -> Keeping {
+    fn shared(&self, database: &str, store: &str, model: &Model) -> Result<Keeping, CliError> {
         let host = gethostname::gethostname();
         // A container's first process always has the same number.
         let started = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
         let name = model.name();
-        Keeping::Shared {
+        Ok(Keeping::Shared {
             database: database.to_owned(),
+            password: self.password()?,
             store: store.to_owned(),
             process: format!("{}, process {}, {:x}", host.display(), std::process::id(), started.as_millis()),
             kind: format!("{}, {} {}, {}", env!("CARGO_PKG_VERSION"), name.name, name.sha256, processor()),
-        }
+        })
+    }
+
+    /// The database's password, where a file has it.
+    fn password(&self) -> Result<Option<Password>, CliError> {
+        let Some(path) = &self.database_password_file else { return Ok(None) };
+        let wrong = |error| CliError::Usage(format!("--database-password-file {}: {error}", path.display()));
+        Password::from_file(path).map(Some).map_err(wrong)
     }
 
     /// How jobs are kept, if they are.
     fn settings(&self, model: &Model) -> Result<Option<Settings>, CliError> {
         let keeping = match (&self.data_dir, &self.database, &self.store) {
+            (_, None, _) if self.database_password_file.is_some() => {
+                return Err(CliError::Usage("--database-password-file also needs --database".into()));
+            }
             (None, None, None) => return Ok(None),
             (Some(folder), None, None) => Keeping::Folder(folder.clone()),
-            (None, Some(database), Some(store)) => self.shared(database, store, model),
+            (None, Some(database), Some(store)) => self.shared(database, store, model)?,
             (Some(_), ..) => {
                 let why = "--data-dir is for one server alone; --database and --store are instead of it";
                 return Err(CliError::Usage(why.into()));
@@ -488,6 +503,7 @@ mod tests {
             (&shared[..1], Role::Server, "--store"),
             (&shared[1..], Role::Server, "--database"),
             (&[shared[0], "--data-dir=x"][..], Role::Server, "--data-dir"),
+            (&["--database-password-file=x"][..], Role::Server, "--database"),
             (&["--data-dir=x"][..], Role::Worker, "--database"),
             (&[][..], Role::Worker, "--store"),
             (&[shared[0], shared[1], "--jobs-running=0"][..], Role::Worker, "--jobs-running"),
@@ -495,6 +511,27 @@ mod tests {
             let refused = checked(arguments, role).err().expect("it cannot work").to_string();
             assert!(refused.contains(word), "{arguments:?}: {refused}");
         }
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn the_password_of_the_database_is_in_a_file_that_not_everybody_reads() {
+        use std::os::unix::fs::PermissionsExt;
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("password");
+        let file = format!("--database-password-file={}", path.display());
+        let shared = ["--database=postgres://a@b/c", "--store=s3://d", &file];
+        let check = || parse(&shared).expect("arguments").check(Role::Server);
+        let refused = || check().err().expect("no password").to_string();
+        assert!(refused().starts_with(&file.replace('=', " ")), "{}", refused());
+        std::fs::write(&path, "secret\n").expect("a file");
+        std::fs::set_permissions(&path, PermissionsExt::from_mode(0o604)).expect("a mode");
+        assert!(refused().contains("everybody") && !refused().contains("secret"), "{}", refused());
+        std::fs::set_permissions(&path, PermissionsExt::from_mode(0o400)).expect("a mode");
+        let keeping = check().expect("settings").config.jobs.expect("jobs").keeping;
+        assert!(!format!("{keeping:?}").contains("secret"), "{keeping:?}");
+        let Keeping::Shared { password, .. } = keeping else { panic!("{keeping:?}") };
+        assert_eq!(password, Some("secret".to_owned().into()));
     }
 
     #[test]

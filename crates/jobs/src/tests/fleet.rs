@@ -191,6 +191,29 @@ fn tables_are_made_once_and_later_ones_are_left_or_refused() {
 
 #[test]
 #[ignore = "needs scripts/with-services.sh"]
+fn a_password_of_the_settings_counts_whatever_the_environment_has() {
+    let bench = Bench::of(Engine::Postgres);
+    let open = |password: Option<&str>| {
+        let keeping = Keeping::Shared {
+            database: format!(
+                "postgres://test@127.0.0.1:{}/postgres?sslmode=disable&schema={}",
+                bench.port(),
+                bench.schema()
+            ),
+            password: password.map(|text| text.to_owned().into()),
+            store: bench.path().display().to_string(),
+            process: String::new(),
+            kind: String::new(),
+        };
+        Jobs::open(Settings { keeping, ..Settings::new(bench.path().to_owned()) }).map(drop)
+    };
+    open(None).expect("the environment's");
+    let refused = open(Some("another")).expect_err("it is not its password").to_string();
+    assert!(refused.contains("password authentication failed"), "{refused}");
+}
+
+#[test]
+#[ignore = "needs scripts/with-services.sh"]
 fn words_are_said_and_records_dropped_on_whatever_thread() {
     let bench = Bench::of(Engine::Postgres);
     for runtime in

@@ -66,8 +66,8 @@ impl Jobs {
             Keeping::Folder(folder) => {
                 (Store::open(folder, settings.bounds(), SystemClock.now())?, Arc::new(SystemClock))
             }
-            Keeping::Shared { database, store, kind, .. } => {
-                shared::open(database, store, kind, settings.bounds())?
+            Keeping::Shared { database, password, store, kind, .. } => {
+                shared::open(database, password.as_ref(), store, kind, settings.bounds())?
             }
         };
         Ok(Self::new(store, settings, clock))
