@@ -162,16 +162,28 @@ fn put(place: &mut impl Write, bytes: &[u8]) -> usize {
     left.len()
 }
 
-/// One line that comes in one piece: the subscriber writes each event as a whole.
+/// One line that comes in one piece: the subscriber writes each event as a whole. So what others say, and is told in an
+/// event, cannot look like another.
 impl Write for &Log {
-    fn write(&mut self, line: &[u8]) -> io::Result<usize> {
-        self.line(line.to_vec());
-        Ok(line.len())
+    fn write(&mut self, event: &[u8]) -> io::Result<usize> {
+        self.line(one_line(event));
+        Ok(event.len())
     }
 
     fn flush(&mut self) -> io::Result<()> {
         Ok(())
     }
+}
+
+/// An event with its line breaks written as in JSON, but for the last.
+fn one_line(event: &[u8]) -> Vec<u8> {
+    let (text, end) = event.split_at(event.len() - usize::from(event.ends_with(b"\n")));
+    let escaped = text.iter().flat_map(|byte| match byte {
+        b'\n' => b"\\n",
+        b'\r' => b"\\r",
+        byte => std::slice::from_ref(byte),
+    });
+    escaped.chain(end).copied().collect()
 }
 
 impl<'a> MakeWriter<'a> for Log {
@@ -298,6 +310,22 @@ mod tests {
             ["first\n", "rst\n", "\nsecond\n", "\nthird\n", "\nthird\n", "\nthird\n", "ird\n", "fourth\n"];
         assert_eq!(pieces, expected);
         assert_eq!(log.lost().count(), 2);
+    }
+
+    #[test]
+    fn an_event_is_one_line_whatever_it_says() {
+        let (log, pieces, takes) = log();
+        drop(takes);
+        let text = tracing_subscriber::fmt().with_writer(log.clone()).with_ansi(false).finish();
+        tracing::subscriber::with_default(text, || {
+            tracing::error!(error = %"no room\nDETAIL: none\r\n", "a\nb");
+            tracing::error!("the next");
+        });
+        log.flush(LONG);
+        let written: String = pieces.try_iter().collect();
+        assert_eq!(written.lines().count(), 2, "{written}");
+        assert!(written.contains("no room\\nDETAIL: none\\r\\n"), "{written}");
+        assert!(!written.contains('\r') && written.ends_with("the next\n"), "{written}");
     }
 
     #[test]

@@ -86,7 +86,8 @@ pub(super) fn unsure(why: impl ToString) -> StoreError {
     StoreError::Database { trouble: Trouble::Unsure, source: why.to_string().into() }
 }
 
-/// What an error says, with all that is behind it: the library's tell of themselves alone.
+/// What an error says, with all that is behind it: the library's tell of themselves alone. In one line, where the database
+/// says more in further ones.
 pub(super) fn whole(error: &dyn std::error::Error) -> String {
     let mut text = error.to_string();
     let mut next = error.source();
@@ -94,5 +95,5 @@ pub(super) fn whole(error: &dyn std::error::Error) -> String {
         text = format!("{text}: {cause}");
         next = cause.source();
     }
-    text
+    text.replace('\n', "; ")
 }

@@ -214,6 +214,14 @@ fn a_password_of_the_settings_counts_whatever_the_environment_has() {
 
 #[test]
 #[ignore = "needs scripts/with-services.sh"]
+fn what_the_database_says_is_one_line() {
+    let raise = "DO 'BEGIN RAISE EXCEPTION ''no'' USING DETAIL = ''more'', HINT = ''less''; END'";
+    let error = Bench::of(Engine::Postgres).execute(raise).expect_err("it is raised").to_string();
+    assert!(error.ends_with("ERROR: no; DETAIL: more; HINT: less"), "{error}");
+}
+
+#[test]
+#[ignore = "needs scripts/with-services.sh"]
 fn words_are_said_and_records_dropped_on_whatever_thread() {
     let bench = Bench::of(Engine::Postgres);
     for runtime in
