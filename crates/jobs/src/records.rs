@@ -105,6 +105,14 @@ pub trait Records: Send + Sync {
     /// What the database says.
     fn failed(&self, lease: &Lease, failure: &Failure, now: Time) -> Result<bool, StoreError>;
 
+    /// The step has failed of what is the matter with the machine that it ran on: it waits again at its old turn, as one
+    /// whose lease ran out, or its job fails of that, where it was started as often as may be. Says whether it waits; none
+    /// where the lease is on it no more.
+    ///
+    /// # Errors
+    /// What the database says.
+    fn retry(&self, lease: &Lease, failure: &Failure, now: Time) -> Result<Option<bool>, StoreError>;
+
     /// Puts the step back to its place in the queue, as if it had not been started.
     ///
     /// # Errors
@@ -239,6 +247,15 @@ pub enum Step {
 }
 
 impl Step {
+    /// The tile that it is.
+    #[must_use]
+    pub fn tile(self) -> Option<u32> {
+        match self {
+            Self::Tile(tile) => Some(tile),
+            Self::Whole | Self::Join => None,
+        }
+    }
+
     /// The name of its kind, in metrics.
     #[must_use]
     pub fn name(self) -> &'static str {

@@ -57,6 +57,18 @@ pub(super) async fn put_back(database: &Transaction<'_>, lease: &Lease) -> Resul
     is(database, from, &[&id, &attempt]).await
 }
 
+/// The step waits again, or its job has failed for this reason.
+pub(super) async fn retried(
+    database: &Transaction<'_>,
+    lease: &Lease,
+    failure: &Failure,
+) -> Result<Option<bool>, Failed> {
+    if put_back(database, lease).await? {
+        return Ok(Some(true));
+    }
+    Ok(failed(database, lease, failure).await?.then_some(false))
+}
+
 /// The job is in tiles by this plan.
 pub(super) async fn split(database: &Transaction<'_>, lease: &Lease, plan: &str) -> Result<bool, Failed> {
     is(database, "jobs WHERE id = $1 AND plan = $2", &[&lease.record.id, &plan]).await

@@ -36,7 +36,7 @@ use deadpool_postgres::Client;
 use tokio_postgres::Row;
 
 use crate::clock::Clock;
-use crate::columns::{failure_text, integer, natural, result_text};
+use crate::columns::{integer, natural, result_text};
 use crate::error::StoreError;
 use crate::record::{Draft, Failure, Record, ResultFile, State, Time};
 use crate::records::{
@@ -49,7 +49,8 @@ pub use password::Password;
 use connection::Database;
 use rows::{change, collect, find, load, one, select, small, used};
 use steps::{
-    BY_TILE, FAILED, FREE, HELD, TILE_HELD, TILE_ROW, claim, claimed, held, lapse, next_turn, pass, put_back,
+    BY_TILE, FREE, HELD, TILE_HELD, TILE_ROW, attempts, claim, claimed, fail, free, held, lapse, next_turn,
+    pass, put_back,
 };
 use trouble::Failed;
 
@@ -266,12 +267,24 @@ impl Records for Postgres {
     }
 
     fn failed(&self, lease: &Lease, failure: &Failure, now: Time) -> Result<bool, StoreError> {
-        let which = if let Step::Tile(_) = lease.step { BY_TILE } else { HELD };
-        let (id, attempt) = held(lease);
-        let (sql, text) = (format!("UPDATE jobs SET {FAILED} WHERE {which}"), failure_text(failure));
         self.database.write(async |database, again| {
-            let failed = change(database, &sql, &[&id, &attempt, &now, &text]).await?;
+            let failed = fail(database, lease, failure, now).await?;
             Ok(failed || again && happened::failed(database, lease, failure).await?)
+        })
+    }
+
+    fn retry(&self, lease: &Lease, failure: &Failure, now: Time) -> Result<Option<bool>, StoreError> {
+        self.database.write(async |database, again| {
+            let Some(attempts) = attempts(database, lease).await? else {
+                return if again { happened::retried(database, lease, failure).await } else { Ok(None) };
+            };
+            let waits = attempts < self.bounds.attempts;
+            let changed = if waits {
+                free(database, &lease.record.id, lease.step.tile()).await?
+            } else {
+                fail(database, lease, failure, now).await?
+            };
+            Ok(changed.then_some(waits))
         })
     }
 

@@ -3,7 +3,7 @@
 use deadpool_postgres::Transaction;
 use tokio_postgres::Row;
 
-use super::rows::{self, COLUMNS, change, small};
+use super::rows::{self, COLUMNS, change, collect, small};
 use super::trouble::Failed;
 use crate::columns::{failure_text, integer};
 use crate::record::{Failure, State, Time};
@@ -23,7 +23,7 @@ pub(super) const FREE: &str = "worker = NULL, until = NULL";
 const WAITS: &str = "waits = true, state = CASE WHEN tiles IS NULL THEN 'queued' ELSE 'running' END";
 
 /// `$3` is the time, `$4` the failure.
-pub(super) const FAILED: &str = "state = 'failed', finished = $3, failure = $4, waits = false, \
+const FAILED: &str = "state = 'failed', finished = $3, failure = $4, waits = false, \
                       bytes = row_bytes + octet_length($4::text)";
 
 /// Bytes that the row of a tile takes, about.
@@ -51,16 +51,44 @@ pub(super) async fn lapse(database: &Transaction<'_>, lapsed: &Lapsed, now: Time
             let sql = format!("UPDATE jobs SET {FAILED} WHERE id = $1 AND state = $2");
             change(database, &sql, &[id, &State::Running.name(), &now, &failure]).await
         }
-        (Some(tile), true) => {
-            let sql = format!("UPDATE tiles SET state = 'waiting', {FREE} WHERE job = $1 AND tile = $2");
-            let waits = change(database, &sql, &[id, &(*tile as i32)]).await?;
-            Ok(waits && wake(database, id).await?)
-        }
-        (None, true) => {
-            let sql = format!("UPDATE jobs SET {WAITS}, {FREE} WHERE id = $1");
-            change(database, &sql, &[id]).await
-        }
+        (tile, true) => free(database, id, *tile).await,
     }
+}
+
+/// Has a step wait again that is leased.
+pub(super) async fn free(database: &Transaction<'_>, id: &str, tile: Option<u32>) -> Result<bool, Failed> {
+    let Some(tile) = tile else {
+        let sql = format!("UPDATE jobs SET {WAITS}, {FREE} WHERE id = $1");
+        return change(database, &sql, &[&id]).await;
+    };
+    let sql = format!("UPDATE tiles SET state = 'waiting', {FREE} WHERE job = $1 AND tile = $2");
+    let waits = change(database, &sql, &[&id, &(tile as i32)]).await?;
+    Ok(waits && wake(database, id).await?)
+}
+
+/// How often the step of a lease was started; none where the lease is on it no more.
+pub(super) async fn attempts(database: &Transaction<'_>, lease: &Lease) -> Result<Option<u32>, Failed> {
+    let (id, attempt) = held(lease);
+    let from = match lease.step {
+        Step::Tile(_) => format!("tiles WHERE {TILE_HELD}"),
+        Step::Whole | Step::Join => format!("jobs WHERE {HELD}"),
+    };
+    let sql = format!("SELECT attempts FROM {from}");
+    let read = |row: &Row| Ok(row.try_get(0).map(small)?);
+    Ok(collect(database, &sql, &[&id, &attempt], read).await?.pop())
+}
+
+/// The job of a lease has failed.
+pub(super) async fn fail(
+    database: &Transaction<'_>,
+    lease: &Lease,
+    failure: &Failure,
+    now: Time,
+) -> Result<bool, Failed> {
+    let which = if let Step::Tile(_) = lease.step { BY_TILE } else { HELD };
+    let (id, attempt) = held(lease);
+    let sql = format!("UPDATE jobs SET {FAILED} WHERE {which}");
+    change(database, &sql, &[&id, &attempt, &now, &failure_text(failure)]).await
 }
 
 async fn wake(database: &Transaction<'_>, id: &str) -> Result<bool, Failed> {

@@ -10,7 +10,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use rusqlite::{Connection, Params, Row, params};
 
-use crate::columns::{failure_text, integer, natural, result_text};
+use crate::columns::{integer, natural, result_text};
 use crate::error::StoreError;
 use crate::record::{Draft, Failure, Record, ResultFile, State, Time};
 use crate::records::{
@@ -18,8 +18,8 @@ use crate::records::{
 };
 use rows::{change, collect, failed, find, load, one, select, used};
 use steps::{
-    BY_TILE, FAILED, FREE, HELD, TILE_HELD, TILE_ROW, held, lapse, next, next_turn, put_back, start,
-    start_tile,
+    BY_TILE, FREE, HELD, TILE_HELD, TILE_ROW, attempts, fail, free, held, lapse, next, next_turn, put_back,
+    start, start_tile,
 };
 
 /// Records in an SQLite database.
@@ -255,10 +255,20 @@ impl Records for Sqlite {
     }
 
     fn failed(&self, lease: &Lease, failure: &Failure, now: Time) -> Result<bool, StoreError> {
-        let which = if let Step::Tile(_) = lease.step { BY_TILE } else { HELD };
-        let (id, attempt) = held(lease);
-        let sql = format!("UPDATE jobs SET {FAILED} WHERE {which}");
-        change(&self.database(), &sql, params![id, attempt, now, failure_text(failure)])
+        fail(&self.database(), lease, failure, now)
+    }
+
+    fn retry(&self, lease: &Lease, failure: &Failure, now: Time) -> Result<Option<bool>, StoreError> {
+        self.together(|database| {
+            let Some(attempts) = attempts(database, lease)? else { return Ok(None) };
+            let again = attempts < self.bounds.attempts;
+            let changed = if again {
+                free(database, &lease.record.id, lease.step.tile())?
+            } else {
+                fail(database, lease, failure, now)?
+            };
+            Ok(changed.then_some(again))
+        })
     }
 
     fn put_back(&self, lease: &Lease) -> Result<bool, StoreError> {

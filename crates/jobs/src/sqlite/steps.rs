@@ -33,7 +33,7 @@ pub(super) fn next_turn(client: &str) -> String {
 pub(super) const TILE_ROW: u64 = 256;
 
 /// `?3` is the time, `?4` the failure.
-pub(super) const FAILED: &str = "state = 'failed', finished = ?3, failure = ?4, waits = 0, \
+const FAILED: &str = "state = 'failed', finished = ?3, failure = ?4, waits = 0, \
                       bytes = row_bytes + octet_length(?4)";
 
 /// Lets go of a step; false where its job is over by the step before.
@@ -45,16 +45,42 @@ pub(super) fn lapse(database: &Connection, lapsed: &Lapsed, now: Time) -> Result
             let sql = format!("UPDATE jobs SET {FAILED} WHERE id = ?1 AND state = ?2");
             change(database, &sql, params![id, State::Running.name(), now, failure])
         }
-        (Some(tile), true) => {
-            let sql = format!("UPDATE tiles SET state = 'waiting', {FREE} WHERE job = ? AND tile = ?");
-            let waits = change(database, &sql, params![id, tile])?;
-            Ok(waits && change(database, "UPDATE jobs SET waits = 1 WHERE id = ?", [id])?)
-        }
-        (None, true) => {
-            let sql = format!("UPDATE jobs SET {WAITS}, {FREE} WHERE id = ?");
-            change(database, &sql, [id])
-        }
+        (tile, true) => free(database, id, *tile),
     }
+}
+
+/// Has a step wait again that is leased.
+pub(super) fn free(database: &Connection, id: &str, tile: Option<u32>) -> Result<bool, StoreError> {
+    let Some(tile) = tile else {
+        return change(database, &format!("UPDATE jobs SET {WAITS}, {FREE} WHERE id = ?"), [id]);
+    };
+    let sql = format!("UPDATE tiles SET state = 'waiting', {FREE} WHERE job = ? AND tile = ?");
+    let waits = change(database, &sql, params![id, tile])?;
+    Ok(waits && change(database, "UPDATE jobs SET waits = 1 WHERE id = ?", [id])?)
+}
+
+/// How often the step of a lease was started; none where the lease is on it no more.
+pub(super) fn attempts(database: &Connection, lease: &Lease) -> Result<Option<u32>, StoreError> {
+    let (id, attempt) = held(lease);
+    let from = match lease.step {
+        Step::Tile(_) => format!("tiles WHERE {TILE_HELD}"),
+        Step::Whole | Step::Join => format!("jobs WHERE {HELD}"),
+    };
+    let sql = format!("SELECT attempts FROM {from}");
+    Ok(collect(database, &sql, params![id, attempt], |row| row.get(0))?.pop())
+}
+
+/// The job of a lease has failed.
+pub(super) fn fail(
+    database: &Connection,
+    lease: &Lease,
+    failure: &Failure,
+    now: Time,
+) -> Result<bool, StoreError> {
+    let which = if let Step::Tile(_) = lease.step { BY_TILE } else { HELD };
+    let (id, attempt) = held(lease);
+    let sql = format!("UPDATE jobs SET {FAILED} WHERE {which}");
+    change(database, &sql, params![id, attempt, now, failure_text(failure)])
 }
 
 /// A job that has tiles is running all the while.

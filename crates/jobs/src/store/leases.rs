@@ -40,6 +40,18 @@ impl Store {
         self.records.beat(lease, until)
     }
 
+    /// A step has failed of what is the matter with this machine; see [`Records::retry`].
+    ///
+    /// # Errors
+    /// What the storage says.
+    pub fn retry(&self, lease: &Lease, failure: &Failure, now: Time) -> Result<Option<bool>, StoreError> {
+        let waits = self.records.retry(lease, failure, now)?;
+        if waits == Some(false) {
+            self.sweep(&lease.record.id, lease.record.tiles.is_some(), None)?;
+        }
+        Ok(waits)
+    }
+
     /// See [`Records::put_back`].
     ///
     /// # Errors

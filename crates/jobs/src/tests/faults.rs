@@ -49,10 +49,14 @@ fn what_is_lost_before_or_after_it_is_kept_happens_once() {
         assert!(world.under(fault, |far| far.beat(&lease, 500)).expect("no fault"));
         assert!(world.under(fault, |far| far.put_back(&lease)).expect("no fault"));
         assert_eq!((get(near, "id").state, get(near, "id").attempts), (State::Queued, 0));
+        let lease = claim(near, 1);
+        let full = Failure::Storage { why: "no room".into(), full: true };
+        assert_eq!(world.under(fault, |far| far.retry(&lease, &full, 1)).expect("no fault"), Some(true));
+        assert_eq!((get(near, "id").state, get(near, "id").attempts), (State::Queued, 1));
         let lease = claim(near, 2);
         let turn = get(near, "id").turn;
         assert!(world.under(fault, |far| far.defer(&lease)).expect("no fault"));
-        assert_eq!((get(near, "id").turn, get(near, "id").attempts), (turn + 1, 0));
+        assert_eq!((get(near, "id").turn, get(near, "id").attempts), (turn + 1, 1));
         let lease = claim(near, 3);
         assert!(world.under(fault, |far| far.split(&lease, "plan", &[1, 1], 10)).expect("no fault"));
         let tile = claim(near, 4);

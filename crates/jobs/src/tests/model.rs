@@ -22,6 +22,7 @@ enum Step {
     // With a lease that the job had, the newest first.
     Done(usize, usize),
     Failed(usize, usize),
+    Retry(usize, usize),
     PutBack(usize, usize),
     /// Into so many tiles.
     Split(usize, usize, usize),
@@ -44,6 +45,7 @@ fn step() -> impl Strategy<Value = Step> {
         4 => (1_i64..12).prop_map(Step::Claim),
         2 => of_lease.clone().prop_map(|(i, lease)| Step::Done(i, lease)),
         1 => of_lease.clone().prop_map(|(i, lease)| Step::Failed(i, lease)),
+        1 => of_lease.clone().prop_map(|(i, lease)| Step::Retry(i, lease)),
         1 => of_lease.clone().prop_map(|(i, lease)| Step::PutBack(i, lease)),
         2 => (of_lease.clone(), 1_usize..4).prop_map(|((i, lease), tiles)| Step::Split(i, lease, tiles)),
         1 => of_lease.prop_map(|(i, lease)| Step::Unsplit(i, lease)),
@@ -218,6 +220,7 @@ impl World {
             }
             Step::Done(i, which) => self.done(&self.pick(i), which)?,
             Step::Failed(i, which) => self.failed(&self.pick(i), which)?,
+            Step::Retry(i, which) => self.retry(&self.pick(i), which)?,
             Step::PutBack(i, which) => self.put_back(&self.pick(i), which)?,
             Step::Split(i, which, tiles) => self.split(&self.pick(i), which, tiles)?,
             Step::Unsplit(i, which) => self.unsplit(&self.pick(i), which)?,
@@ -339,6 +342,20 @@ impl World {
         prop_assert_eq!(self.store().failed(&lease, &Failure::Crashed, now).expect("no fault"), held);
         if held {
             self.known(id).is_over(State::Failed, now);
+        }
+        Ok(())
+    }
+
+    fn retry(&mut self, id: &str, which: usize) -> Result<(), TestCaseError> {
+        let Some((lease, held)) = self.lease(id, which) else { return Ok(()) };
+        let now = self.now;
+        let full = Failure::Storage { why: "no room".into(), full: true };
+        let waits = self.store().retry(&lease, &full, now).expect("no fault");
+        prop_assert_eq!(waits.is_some(), held);
+        if held {
+            let known = self.known(id);
+            prop_assert_eq!(waits, Some(*known.attempts(lease.step) < ATTEMPTS));
+            known.lapse(&[lease], now);
         }
         Ok(())
     }

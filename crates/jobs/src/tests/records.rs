@@ -26,6 +26,7 @@ over_each_engine!(|bench| &*bench.records(BOUNDS) =>
     tiles_are_claimed_by_many_and_joined_by_one,
     clients_take_turns_tile_by_tile,
     a_tile_that_is_lost_is_given_anew_as_often_as_may_be,
+    a_step_that_fails_of_its_machine_is_given_anew_as_often_as_may_be,
     a_stale_lease_on_a_tile_changes_nothing,
     a_job_whose_tiles_are_of_no_use_begins_anew,
 );
@@ -224,6 +225,7 @@ pub(super) fn assert_stale(records: &dyn Records, lease: &Lease) {
         records.unsplit(lease),
     ];
     assert!(words.into_iter().all(|word| !word.expect("no fault")), "{lease:?}");
+    assert_eq!(records.retry(lease, &Failure::Crashed, 50).expect("no fault"), None);
     assert_eq!(records.get(&lease.record.id).expect("no fault"), before);
     assert_eq!(records.used().expect("a sum"), used);
 }

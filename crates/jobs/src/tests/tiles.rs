@@ -116,6 +116,28 @@ pub(super) fn a_tile_that_is_lost_is_given_anew_as_often_as_may_be(records: &dyn
     assert_eq!(get(records, &id).state, State::Failed);
 }
 
+pub(super) fn a_step_that_fails_of_its_machine_is_given_anew_as_often_as_may_be(records: &dyn Records) {
+    let full = Failure::Storage { why: "no room".into(), full: true };
+    let fails = |expected: Step, id: &str| {
+        for attempt in 1..=ATTEMPTS {
+            let lease = claim(records, 2);
+            assert_eq!((&*lease.record.id, lease.step), (id, expected));
+            let waits = records.retry(&lease, &full, 50).expect("no fault");
+            assert_eq!(waits, Some(attempt < ATTEMPTS));
+            assert_stale(records, &lease);
+        }
+        let job = get(records, id);
+        assert_eq!((job.state, job.finished, job.failure.as_ref()), (State::Failed, Some(50), Some(&full)));
+        assert!(nothing_waits(records));
+    };
+    fails(Step::Whole, &put(records, &of("a", None), 0));
+    fails(Step::Tile(0), &split(records, "a", 2));
+    let id = split(records, "a", 1);
+    let tile = claim(records, 2);
+    assert!(records.tile_done(&tile, "part", 1).expect("no fault"));
+    fails(Step::Join, &id);
+}
+
 pub(super) fn a_stale_lease_on_a_tile_changes_nothing(records: &dyn Records) {
     let id = put(records, &of("a", None), 0);
     let planner = claim(records, 1);

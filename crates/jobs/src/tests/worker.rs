@@ -130,6 +130,7 @@ over_each_engine!(
     the_tiles_of_a_job_are_worked_on_and_joined_and_others_are_between,
     a_tile_is_tried_again_or_its_job_fails_or_begins_anew,
     a_job_in_tiles_goes_on_where_the_program_ended,
+    a_step_that_finds_no_room_on_one_machine_is_done_by_another,
 );
 
 fn jobs_expire_while_all_threads_are_at_work(bench: Bench) {
@@ -340,4 +341,38 @@ fn a_job_in_tiles_goes_on_where_the_program_ended(bench: Bench) {
     let expected = ["", "/0", "/0", "/0", "/1", "/2", "/join"].map(|step| format!("{id}{step}"));
     assert_eq!(steps, expected);
     assert_eq!(files(bench.path()).len(), 1, "the result");
+}
+
+fn a_step_that_finds_no_room_on_one_machine_is_done_by_another(bench: Bench) {
+    let store = bench.store(BOUNDS, 0);
+    let keeping = Keeping::Shared {
+        database: String::new(),
+        password: None,
+        store: String::new(),
+        process: String::new(),
+        kind: String::new(),
+    };
+    let settings = Settings { keeping, ..Settings::new(bench.path().to_owned()) };
+    let machine = || {
+        let jobs = Arc::new(Jobs::new(store.clone(), settings.clone(), Arc::new(SystemClock)));
+        let (work, ends) = told();
+        jobs.start(&work).expect("a thread");
+        (jobs, ends)
+    };
+    let get = |id: &str| store.get(id).expect("no fault").expect("the job");
+    let full = || Err(Stopped::Storage(io::ErrorKind::StorageFull.into()));
+    let mut machines = vec![machine()];
+    let id = keep(&machines[0].0, &job("a", None, b"cloud"));
+    for (attempt, outcome) in [(1, full()), (2, full()), (3, Ok(()))] {
+        let (jobs, (arrived, go)) = machines.last().expect("one");
+        assert_eq!(arrived.recv().expect("a job"), id);
+        assert_eq!(get(&id).attempts, attempt);
+        go.send(outcome).expect("the work listens");
+        // It leaves the job to others, and then the next one comes.
+        wait_until(jobs, || jobs.at_work(&id).is_empty());
+        machines.push(machine());
+    }
+    assert_eq!(result(&store, &id).as_deref(), Some(&b"cloud"[..]));
+    machines.iter().for_each(|(jobs, _)| jobs.stop());
+    machines.iter().for_each(|(jobs, _)| jobs.join());
 }

@@ -2,6 +2,7 @@
 
 use std::io;
 use std::panic::AssertUnwindSafe;
+use std::time::Instant;
 
 use super::Jobs;
 use crate::error::StoreError;
@@ -121,7 +122,10 @@ impl Jobs {
             Stopped::Storage(error) => {
                 tracing::error!(job = id, %error, "a job's file cannot be read or written");
                 let full = StoreError::from(io::Error::from(error.kind())).is_full();
-                self.fail(lease, &Failure::Storage { why: error.to_string(), full })
+                let failure = Failure::Storage { why: error.to_string(), full };
+                // Other machines may have room.
+                let others = full && self.settings.folder().is_none();
+                if others { self.retry(lease, &failure) } else { self.fail(lease, &failure) }
             }
         }
     }
@@ -130,9 +134,26 @@ impl Jobs {
         if !self.store.failed(lease, failure, self.now())? {
             return Ok(How::Lost);
         }
+        Ok(self.has_failed(lease, failure))
+    }
+
+    /// A step found no room on this machine: it is left to others for a while.
+    fn retry(&self, lease: &Lease, failure: &Failure) -> Result<How, StoreError> {
+        Ok(match self.store.retry(lease, failure, self.now())? {
+            None => How::Lost,
+            Some(false) => self.has_failed(lease, failure),
+            Some(true) => {
+                tracing::warn!(job = lease.record.id, step = ?lease.step, "left to another, which may have room");
+                self.lock().rest = Some(Instant::now() + self.settings.lease);
+                How::Later
+            }
+        })
+    }
+
+    fn has_failed(&self, lease: &Lease, failure: &Failure) -> How {
         let Record { id, request_id, .. } = &lease.record;
         self.cancel(id);
         tracing::info!(job = id, request = request_id, ?failure, "job failed");
-        Ok(How::Failed)
+        How::Failed
     }
 }

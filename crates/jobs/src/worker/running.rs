@@ -3,6 +3,7 @@
 use std::collections::{HashMap, VecDeque};
 use std::sync::Arc;
 use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
 
 use densecloud_engine::Progress;
 
@@ -21,6 +22,8 @@ pub(super) struct Running {
     pub(super) threads: Vec<JoinHandle<()>>,
     /// The threads are to end.
     pub(super) stopping: bool,
+    /// Until then steps are left to others, since there is no room here.
+    pub(super) rest: Option<Instant>,
     /// How often something came to wait. Who found nothing before the last time has not looked at all of it.
     pub(super) came: u64,
     /// How often leases came that are to be looked at.
@@ -61,6 +64,11 @@ impl Running {
     /// How often something came to wait so far; none where the threads are to end.
     pub(super) fn waiting(&self) -> Option<u64> {
         (!self.stopping).then_some(self.came)
+    }
+
+    /// How long steps are left to others.
+    pub(super) fn rest(&self) -> Duration {
+        self.rest.map_or(Duration::ZERO, |end| end.saturating_duration_since(Instant::now()))
     }
 
     pub(super) fn all(&self) -> impl Iterator<Item = &Run> {

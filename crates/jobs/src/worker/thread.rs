@@ -31,6 +31,7 @@ impl Jobs {
     /// Waits for the next job; none once the store stops.
     fn next(&self, worker: &str) -> Option<(Lease, Arc<Task>)> {
         loop {
+            self.rest();
             let came = self.lock().waiting()?;
             let wait = match self.claim(worker) {
                 Ok(Some(started)) => return Some(started),
@@ -47,6 +48,13 @@ impl Jobs {
                 return None;
             }
         }
+    }
+
+    /// Leaves steps to others while there is no room here.
+    fn rest(&self) {
+        let running = self.lock();
+        let rest = running.rest();
+        drop(self.queued.wait_timeout_while(running, rest, |running| !running.stopping));
     }
 
     fn claim(&self, worker: &str) -> Result<Option<(Lease, Arc<Task>)>, StoreError> {
