@@ -4,10 +4,10 @@ use deadpool_postgres::{GenericClient, Transaction};
 use tokio_postgres::Row;
 
 use super::Postgres;
-use super::rows::{COLUMNS, collect, load, one, record, used};
+use super::rows::{collect, load, one, record, used};
 use super::steps::next_turn;
 use super::trouble::Failed;
-use crate::columns::integer;
+use crate::columns::{COLUMNS, NEW, integer};
 use crate::error::StoreError;
 use crate::record::{Draft, NewJob, Record, Time};
 use crate::records::{Bounds, Load};
@@ -58,9 +58,8 @@ impl Postgres {
     ) -> Result<Record, Failed> {
         let job = &draft.job;
         let sql = format!(
-            "INSERT INTO jobs (id, state, request, owner, client, key, fingerprint, request_id, points_in, \
-             points_out, row_bytes, bytes, created, kind, turn) \
-             VALUES ($1, 'queued', $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, $12, $13, {}) RETURNING {COLUMNS}",
+            "INSERT INTO jobs ({NEW}, kind, state, turn) \
+             VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, $12, $13, 'queued', {}) RETURNING {COLUMNS}",
             next_turn("$4")
         );
         let (points_in, points_out) = (integer(job.points_in), integer(job.points_out));

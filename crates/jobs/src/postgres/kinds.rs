@@ -3,8 +3,8 @@
 use deadpool_postgres::Transaction;
 
 use super::rows::{change, collect};
-use super::steps::FREE;
 use super::trouble::Failed;
+use crate::columns::ANEW;
 use crate::record::Time;
 
 /// After so many milliseconds of silence a process is not counted among those that work.
@@ -25,9 +25,7 @@ pub(super) async fn attend(
     change(database, sql, &[&process, &kind, &now]).await?;
     change(database, "DELETE FROM processes WHERE seen < $1", &[&now.saturating_sub(GONE)]).await?;
     let sql = format!(
-        "UPDATE jobs SET kind = $1, state = 'queued', started = NULL, attempts = 0, claims = claims + 1, {FREE}, \
-         waits = true, plan = NULL, tiles = NULL, tiles_done = 0, points_done = 0, \
-         bytes = bytes - tile_bytes, tile_bytes = 0 \
+        "UPDATE jobs SET kind = $1, {ANEW} \
          WHERE state IN ('queued', 'running') AND kind <> $1 AND kind NOT IN (SELECT kind FROM processes) RETURNING id"
     );
     let taken = collect(database, &sql, &[&kind], |row| Ok(row.try_get::<_, String>(0)?)).await?;

@@ -36,7 +36,7 @@ use deadpool_postgres::Client;
 use tokio_postgres::Row;
 
 use crate::clock::Clock;
-use crate::columns::{integer, natural, result_text};
+use crate::columns::{ANEW, FREE, TILE_ROW, integer, natural, result_text};
 use crate::error::StoreError;
 use crate::record::{Draft, Failure, Record, ResultFile, State, Time};
 use crate::records::{
@@ -49,8 +49,7 @@ pub use password::Password;
 use connection::Database;
 use rows::{change, collect, find, load, one, select, small, used};
 use steps::{
-    BY_TILE, FREE, HELD, TILE_HELD, TILE_ROW, attempts, claim, claimed, fail, free, held, lapse, next_turn,
-    pass, put_back,
+    BY_TILE, HELD, TILE_HELD, attempts, claim, claimed, fail, free, held, lapse, next_turn, pass, put_back,
 };
 use trouble::Failed;
 
@@ -239,11 +238,7 @@ impl Records for Postgres {
     fn unsplit(&self, lease: &Lease) -> Result<bool, StoreError> {
         let (id, attempt) = held(lease);
         let which = if let Step::Tile(_) = lease.step { BY_TILE } else { HELD };
-        let sql = format!(
-            "UPDATE jobs SET state = 'queued', started = NULL, attempts = 0, claims = claims + 1, {FREE}, \
-             waits = true, plan = NULL, tiles = NULL, tiles_done = 0, points_done = 0, \
-             bytes = bytes - tile_bytes, tile_bytes = 0 WHERE {which}"
-        );
+        let sql = format!("UPDATE jobs SET {ANEW} WHERE {which}");
         self.database.write(async |database, again| {
             if !change(database, &sql, &[&id, &attempt]).await? {
                 return Ok(again && happened::unsplit(database, lease).await?);

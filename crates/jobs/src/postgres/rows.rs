@@ -5,14 +5,10 @@ use tokio_postgres::Row;
 use tokio_postgres::types::ToSql;
 
 use super::trouble::Failed;
-use crate::columns::{failure, natural, result};
+use crate::columns::{COLUMNS, failure, natural, result};
 use crate::error::{StoreError, Trouble};
 use crate::record::{Record, State, Tiles, Time};
 use crate::records::{Lease, Load, Step};
-
-pub(super) const COLUMNS: &str = "number, id, state, request, owner, client, request_id, points_in, points_out, \
-                                  turn, attempts, created, started, finished, result, failure, blob, \
-                                  plan, tiles, tiles_done, points_done";
 
 /// What stands for `$1`, `$2` and so on.
 pub(super) type Values<'a> = &'a [&'a (dyn ToSql + Sync)];

@@ -3,9 +3,9 @@
 use deadpool_postgres::Transaction;
 use tokio_postgres::Row;
 
-use super::rows::{self, COLUMNS, change, collect, small};
+use super::rows::{self, change, collect, small};
 use super::trouble::Failed;
-use crate::columns::{failure_text, integer};
+use crate::columns::{COLUMNS, FREE, failure_text, integer};
 use crate::record::{Failure, State, Time};
 use crate::records::{Lapsed, Lease, Step};
 
@@ -17,17 +17,12 @@ pub(super) const TILE_HELD: &str = "job = $1 AND claims = $2 AND state = 'runnin
 pub(super) const BY_TILE: &str = "id = $1 AND state = 'running' AND EXISTS (SELECT FROM tiles \
                        WHERE job = $1 AND tiles.claims = $2 AND tiles.state = 'running')";
 
-pub(super) const FREE: &str = "worker = NULL, until = NULL";
-
 /// A job that has tiles is running all the while.
 const WAITS: &str = "waits = true, state = CASE WHEN tiles IS NULL THEN 'queued' ELSE 'running' END";
 
 /// `$3` is the time, `$4` the failure.
 const FAILED: &str = "state = 'failed', finished = $3, failure = $4, waits = false, \
                       bytes = row_bytes + octet_length($4::text)";
-
-/// Bytes that the row of a tile takes, about.
-pub(super) const TILE_ROW: u64 = 256;
 
 /// A turn after the clock and all of a client's.
 pub(super) fn next_turn(client: &str) -> String {

@@ -10,7 +10,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use rusqlite::{Connection, Params, Row, params};
 
-use crate::columns::{integer, natural, result_text};
+use crate::columns::{ANEW, FREE, NEW, TILE_ROW, integer, natural, result_text};
 use crate::error::StoreError;
 use crate::record::{Draft, Failure, Record, ResultFile, State, Time};
 use crate::records::{
@@ -18,8 +18,7 @@ use crate::records::{
 };
 use rows::{change, collect, failed, find, load, one, select, used};
 use steps::{
-    BY_TILE, FREE, HELD, TILE_HELD, TILE_ROW, attempts, fail, free, held, lapse, next, next_turn, put_back,
-    start, start_tile,
+    BY_TILE, HELD, TILE_HELD, attempts, fail, free, held, lapse, next, next_turn, put_back, start, start_tile,
 };
 
 /// Records in an SQLite database.
@@ -127,8 +126,7 @@ impl Records for Sqlite {
         }
         let job = &draft.job;
         let sql = format!(
-            "INSERT INTO jobs (id, state, request, owner, client, key, fingerprint, request_id, points_in, \
-             points_out, row_bytes, bytes, created, turn) VALUES (?, 'queued', ?, ?, ?4, ?, ?, ?, ?, ?, ?, ?, ?, {})",
+            "INSERT INTO jobs ({NEW}, state, turn) VALUES (?, ?, ?, ?4, ?, ?, ?, ?, ?, ?, ?, ?, 'queued', {})",
             next_turn("?4")
         );
         change(
@@ -233,11 +231,7 @@ impl Records for Sqlite {
         let (id, attempt) = held(lease);
         let which = if let Step::Tile(_) = lease.step { BY_TILE } else { HELD };
         self.together(|database| {
-            let sql = format!(
-                "UPDATE jobs SET state = 'queued', started = NULL, attempts = 0, claims = claims + 1, {FREE}, \
-                 waits = 1, plan = NULL, tiles = NULL, tiles_done = 0, points_done = 0, \
-                 bytes = bytes - tile_bytes, tile_bytes = 0 WHERE {which}"
-            );
+            let sql = format!("UPDATE jobs SET {ANEW} WHERE {which}");
             let unsplit = change(database, &sql, params![id, attempt])?;
             if unsplit {
                 change(database, "DELETE FROM tiles WHERE job = ?", [id])?;

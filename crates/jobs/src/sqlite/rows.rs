@@ -2,14 +2,10 @@
 
 use rusqlite::{Connection, ErrorCode, Params, Row};
 
-use crate::columns::{self, natural};
+use crate::columns::{self, COLUMNS, natural};
 use crate::error::{StoreError, Trouble};
 use crate::record::{Record, State, Tiles, Time};
 use crate::records::{Lease, Load, Step};
-
-pub(super) const COLUMNS: &str = "number, id, state, request, owner, client, request_id, points_in, points_out, \
-                                  turn, attempts, created, started, finished, result, failure, blob, \
-                                  plan, tiles, tiles_done, points_done";
 
 /// Not a `From`, which would be public.
 pub(super) fn failed(error: rusqlite::Error) -> StoreError {

@@ -2,8 +2,8 @@
 
 use rusqlite::{Connection, Row, params};
 
-use super::rows::{self, COLUMNS, change, collect};
-use crate::columns::{failure_text, integer};
+use super::rows::{self, change, collect};
+use crate::columns::{COLUMNS, FREE, failure_text, integer};
 use crate::error::StoreError;
 use crate::record::{Failure, State, Time};
 use crate::records::{Lapsed, Lease, Step};
@@ -16,8 +16,6 @@ pub(super) const TILE_HELD: &str = "job = ?1 AND claims = ?2 AND state = 'runnin
 pub(super) const BY_TILE: &str = "id = ?1 AND state = 'running' AND EXISTS (SELECT * FROM tiles \
                        WHERE job = ?1 AND tiles.claims = ?2 AND tiles.state = 'running')";
 
-pub(super) const FREE: &str = "worker = NULL, until = NULL";
-
 /// Of the job `?1`.
 const TILE_WAITS: &str = "EXISTS (SELECT * FROM tiles WHERE job = ?1 AND state = 'waiting')";
 
@@ -28,9 +26,6 @@ pub(super) fn next_turn(client: &str) -> String {
          WHERE client = {client} AND state IN ('queued', 'running')))"
     )
 }
-
-/// Bytes that the row of a tile takes, about.
-pub(super) const TILE_ROW: u64 = 256;
 
 /// `?3` is the time, `?4` the failure.
 const FAILED: &str = "state = 'failed', finished = ?3, failure = ?4, waits = 0, \
