@@ -152,6 +152,9 @@ impl Host {
             }
             (Some(name), None) => {
                 let name = part("host", name.trim_start_matches('[').trim_end_matches(']'))?;
+                if name.contains(',') {
+                    return wrong("names more than one host; give it that of the server that takes changes");
+                }
                 // The library would take it for a folder.
                 if name.contains('/') {
                     return wrong("names a host with a / in it");
@@ -247,6 +250,7 @@ mod tests {
             ("postgres://u@h/", "database"),
             ("postgres:///d?user=u", "no host"),
             ("postgres://u@%2Frun/d", "host"),
+            ("postgres://u@h,secret/d", "more than one host"),
             ("postgres://u@h/d?port=1", "beside"),
             ("postgres://u@h/d?host=/run", "two hosts"),
             ("postgres:///d?host=secret&user=u", "folder"),
