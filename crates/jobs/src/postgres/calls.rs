@@ -15,7 +15,7 @@ use tokio_postgres::{IsolationLevel, Row};
 use super::clock::TIME;
 use super::connection::Database;
 use super::rows::Values;
-use super::trouble::{Failed, away, failed, lost, passes, unsure};
+use super::trouble::{Failed, away, failed, lost, passes, unsure, whole};
 use crate::error::{StoreError, Trouble};
 
 /// Attempts at a call whose connection is lost.
@@ -143,7 +143,8 @@ impl Database {
             begun?;
             self.clock.set(locked?.try_get(0)?, asked);
             let changed = changed?;
-            kept.and(flushed)?;
+            kept?;
+            flushed.map_err(not_flushed)?;
             Ok(changed)
         }
         .await;
@@ -250,6 +251,11 @@ fn known<T>(stage: &Cell<Stage>, changed: &Result<T, Failed>) {
     if !matches!(changed, Err(Failed::Database(error)) if lost(error)) {
         stage.set(Stage::Open);
     }
+}
+
+/// A change was kept, and it is not known whether it is on the disk.
+fn not_flushed(error: tokio_postgres::Error) -> Failed {
+    if lost(&error) { error.into() } else { unsure(whole(&error)).into() }
 }
 
 /// Waits on this thread, whatever it is: a runtime's own wait refuses to where another runtime's work is done.

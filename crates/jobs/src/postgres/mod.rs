@@ -82,8 +82,8 @@ impl Postgres {
         if !database.prepare(async |transaction| schema::is_current(transaction, schema).await)? {
             database.prepare(async |transaction| schema::migrate(transaction, schema).await)?;
         }
-        // The time, and whether there is the right to change anything.
-        database.write(async |_, _| Ok(()))?;
+        // The time, and whether there is the right to change anything, and to wait for the disk.
+        database.set("SELECT 1", &[], async |_| Ok(true))?;
         Ok(Self { database, kind: kind.to_owned(), bounds })
     }
 
