@@ -3,7 +3,7 @@
 PROGRAM = $(or $(CARGO_TARGET_DIR),target)/release/densecloud
 OUT = out/demo
 
-.PHONY: demo cluster-demo test test-rust test-python lint docs build onnxruntime venv clean
+.PHONY: demo cluster-demo test test-rust test-python test-web lint docs build onnxruntime venv clean
 
 demo: build
 	mkdir -p $(OUT)
@@ -12,7 +12,7 @@ demo: build
 	$(PROGRAM) render $(OUT)/sparse.ply $(OUT)/before-after.png --beside $(OUT)/dense.ply --size 800x600 --view 30,35
 	@echo "The dense cloud is $(OUT)/dense.ply; before and after are in $(OUT)/before-after.png."
 
-test: test-rust test-python
+test: test-rust test-python test-web
 
 # Tests that need a store or a database are ignored elsewhere.
 test-rust: onnxruntime venv
@@ -20,6 +20,10 @@ test-rust: onnxruntime venv
 
 test-python: venv
 	.venv/bin/python -m pytest -q training/tests
+
+# The page; its packages come from npm.
+test-web: venv
+	sh web/test.sh
 
 lint: venv
 	cargo fmt --check

@@ -41,9 +41,9 @@ def inspect():
 
 
 @contextlib.contextmanager
-def serving(*options):
-    """The address of a `densecloud serve` on a port that the system chooses, for as long as it is needed."""
-    command = [PROGRAM, "serve", "--port", "0", *map(str, options)]
+def serving(*options, port=0):
+    """The address of a `densecloud serve`, on a port that the system chooses or this one, for as long as needed."""
+    command = [PROGRAM, "serve", "--port", str(port), *map(str, options)]
     # Its log names the port, and then that it is ready; it is read on so that the pipe stays empty.
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
     address = None

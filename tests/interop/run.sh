@@ -9,7 +9,7 @@
 set -eu
 cd "$(dirname "$0")/../.."
 venv=${DENSECLOUD_INTEROP_VENV:-.venv-interop}
-if ! "$venv/bin/python" -c 'import compose_spec, grpc_health, grpc_reflection, grpc_status, grpc_tools, kubernetes_validate, laspy, lazrs, numpy, open3d, openapi_spec_validator, pandas, playwright, plyfile, pye57, pypcd4, pytest, schemathesis, trimesh, tritonclient.http, yaml' 2>/dev/null; then
+if ! "$venv/bin/python" -c 'import compose_spec, grpc_health, grpc_reflection, grpc_status, grpc_tools, kubernetes_validate, laspy, lazrs, numpy, open3d, openapi_spec_validator, pandas, PIL, playwright, plyfile, pye57, pypcd4, pytest, schemathesis, trimesh, tritonclient.http, yaml' 2>/dev/null; then
     python3 -m venv "$venv"
     "$venv/bin/pip" install --quiet --only-binary :all: -r tests/interop/requirements.txt
 fi

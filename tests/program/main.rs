@@ -17,3 +17,4 @@ mod settings;
 mod signals;
 mod support;
 mod tiles;
+mod view;

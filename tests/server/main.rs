@@ -16,6 +16,7 @@ mod inference;
 mod jobs;
 mod lifecycle;
 mod misbehaviour;
+mod points;
 mod proxies;
 mod refusals;
 mod support;

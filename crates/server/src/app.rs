@@ -23,7 +23,7 @@ use crate::inference::statistics::Statistics;
 use crate::metrics::Metrics;
 use crate::problem::Problem;
 use crate::route::{self, Route, delete, get, post};
-use crate::{grpc, inference, jobs};
+use crate::{grpc, inference, jobs, page, points};
 use densecloud_engine::Engine;
 use densecloud_jobs::Jobs;
 
@@ -107,6 +107,13 @@ pub(super) fn routes() -> Vec<Route> {
         delete("/jobs/{id}", jobs::delete),
         get("/jobs/{id}/result", jobs::result::result),
         get("/jobs/{id}/events", jobs::events::events),
+        post("/points", points::of_body),
+        get("/jobs/{id}/points", points::of_job),
+        get("/", page::index),
+        get("/page/{part}", page::part),
+        get("/about", page::about),
+        get("/estimate", page::estimate),
+        get("/files/{number}", page::file),
         get("/openapi.json", openapi::openapi),
         get("/docs", openapi::docs),
     ];

@@ -40,6 +40,8 @@ pub struct Config {
     pub cors: Vec<CorsOrigin>,
     /// The path under which a proxy offers the server (`--base-path`); none by default.
     pub base_path: BasePath,
+    /// Files that whoever may use the server may read (`densecloud view`), by their numbers; none by default.
+    pub files: Vec<PathBuf>,
     /// Which model answers, for `/metrics`.
     pub model: ModelInfo,
     /// Lines that the log has lost, for `/metrics`: whoever writes the log counts them.

@@ -10,6 +10,8 @@
 //! | `grpc` | the same work in messages, on the same port; health and reflection |
 //! | `jobs` | jobs: taking, telling, sending, watching, running |
 //! | `tiled` | clouds of more points than a tile: their steps, and what is sent while these go on |
+//! | `points` | clouds packed to be shown, or in another format |
+//! | `page` | the page at `/`, and what it alone asks |
 //! | `problem` | every failure, its status and its words: the one table |
 //! | `app`, `route`, `config`, `metrics` | what handlers share; the table of paths; settings; numbers for operators |
 //! | `manager` | what a service manager is told |
@@ -28,6 +30,8 @@ mod inference;
 mod jobs;
 mod manager;
 mod metrics;
+mod page;
+mod points;
 mod problem;
 pub mod proto;
 mod route;

@@ -29,6 +29,7 @@ mod tiles;
 mod tiles_away;
 mod upsample;
 mod upsample_remote;
+mod view;
 mod worker;
 
 pub(crate) use error::CliError;
@@ -67,6 +68,7 @@ enum Command {
     Evaluate(evaluate::EvaluateArgs),
     Sample(sample::SampleArgs),
     Render(render::RenderArgs),
+    View(view::ViewArgs),
 }
 
 /// Parses the arguments, runs the command, and says how it went.
@@ -129,6 +131,7 @@ fn run(command: Command, matches: &ArgMatches) -> Result<(), CliError> {
     match command {
         Command::Inspect(args) => inspect::run(&args),
         Command::Render(args) => render::run(&args),
+        Command::View(args) => view::run(&args),
         Command::Sample(args) => sample::run(&args),
         Command::Upsample(args) => upsample::run(&args),
         Command::Tiles(args) => tiles::run(&args),

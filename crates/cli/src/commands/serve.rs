@@ -199,7 +199,7 @@ fn runtime_failed(words: &str) {
     }
 }
 
-fn start_log(filter: EnvFilter, format: LogFormat, log: &Log) -> Result<(), CliError> {
+pub(super) fn start_log(filter: EnvFilter, format: LogFormat, log: &Log) -> Result<(), CliError> {
     let lines = tracing_subscriber::fmt()
         .with_env_filter(filter)
         .with_writer(log.clone())

@@ -265,6 +265,7 @@ impl ServeArgs {
             role,
             cors: self.cors_origin.clone(),
             base_path: self.base_path.clone().unwrap_or_default(),
+            files: Vec::new(),
             model: ModelInfo::default(),
             lines_lost: LinesLost::default(),
         }
@@ -416,7 +417,7 @@ enum Open {
     Health,
     /// /metrics
     Metrics,
-    /// /openapi.json and /docs
+    /// The page at /, /openapi.json and /docs
     Docs,
     /// Nothing
     None,

@@ -43,6 +43,11 @@ impl Held {
         self.budget.hold(bytes)
     }
 
+    /// Bytes of the share.
+    pub(crate) fn bytes(&self) -> u64 {
+        self.bytes
+    }
+
     /// Takes `bytes` more; false, and nothing taken, when the rest does not suffice.
     pub(crate) fn grow(&mut self, bytes: u64) -> bool {
         let Budget { used, limit } = &self.budget;

@@ -12,7 +12,7 @@ use crate::admission::keys::Keys;
 use crate::app::App;
 use crate::connection::accept::Connection;
 use crate::problem::Problem;
-use crate::{grpc, inference};
+use crate::{grpc, inference, page};
 use densecloud_engine::Client;
 
 /// Who may ask, and how clients are told apart.
@@ -24,7 +24,7 @@ pub struct Access {
     pub open_health: bool,
     /// Whether `/metrics` needs none (`--open metrics`).
     pub open_metrics: bool,
-    /// Whether `/openapi.json` and `/docs` need none (`--open docs`).
+    /// Whether the page at `/`, `/openapi.json` and `/docs` need none (`--open docs`).
     pub open_docs: bool,
     /// Whether the last hop named by `X-Forwarded-For` is the client's address (`--trust-forwarded`). Only for use
     /// behind a proxy that sets the header: a client can send it, too.
@@ -65,7 +65,7 @@ impl Access {
             "/healthz" | "/readyz" => self.open_health,
             "/metrics" => self.open_metrics,
             "/openapi.json" | "/docs" => self.open_docs,
-            path if path.starts_with("/grpc.reflection.") => self.open_docs,
+            path if path.starts_with("/grpc.reflection.") || page::is_part(path) => self.open_docs,
             path => self.open_health && (inference::is_probe(path) || grpc::is_probe(path)),
         }
     }
@@ -199,13 +199,24 @@ mod tests {
             "/readyz",
             "/metrics",
             "/docs",
+            "/",
+            "/page/main.js",
             "/openapi.json",
             "/v2/health/ready",
             "/grpc.health.v1.Health/Check",
         ] {
             assert!(Access::default().is_open(path) && !closed.is_open(path), "{path}");
         }
-        for path in ["/upsample", "/jobs", "/v2/models/densecloud/infer", "/healthz/", "/nowhere"] {
+        for path in [
+            "/upsample",
+            "/points",
+            "/about",
+            "/files/0",
+            "/jobs",
+            "/v2/models/densecloud/infer",
+            "/healthz/",
+            "/nowhere",
+        ] {
             assert!(!Access::default().is_open(path), "{path}");
         }
     }

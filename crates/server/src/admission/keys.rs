@@ -87,6 +87,15 @@ impl Keys {
         Ok(Self { path: path.to_owned(), entries, reloads: Default::default() })
     }
 
+    /// One key, of a client of this name, that is in no file.
+    ///
+    /// # Errors
+    /// [`KeysError::Line`] where it is none.
+    pub fn of_one(name: &str, key: &str) -> Result<Self, KeysError> {
+        let (entries, _) = parse(&format!("{name} {key}"))?;
+        Ok(Self { path: PathBuf::new(), entries: RwLock::new(entries.into()), reloads: Default::default() })
+    }
+
     /// Reads the file again: from then on its keys count, and no others. Says how many there are. What was begun under
     /// a key that is gone goes on. Blocks for the file.
     ///

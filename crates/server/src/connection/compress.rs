@@ -88,8 +88,10 @@ impl Compression {
 /// Whether a kind of answer becomes smaller; LAZ, E57 and images do not, and events must not wait.
 fn shrinks(media_type: &str) -> bool {
     let kind = media_type.split(';').next().unwrap_or_default().trim();
-    matches!(kind, "application/octet-stream" | "application/json" | "text/html")
-        || Format::from_media_type(kind).is_some_and(|format| !format.is_packed())
+    matches!(
+        kind,
+        "application/octet-stream" | "application/json" | "text/html" | "text/css" | "text/javascript"
+    ) || Format::from_media_type(kind).is_some_and(|format| !format.is_packed())
 }
 
 /// The layer.

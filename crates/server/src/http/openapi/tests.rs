@@ -286,9 +286,12 @@ async fn answers_are_as_described() {
     for route in app::routes().into_iter().filter(|route| route.method == "get") {
         let target = route.path.replace("{id}", &id);
         let target = target.replace("{model}", "densecloud").replace("{version}", "1");
+        let target = target.replace("{part}", "main.js").replace("{number}", "0");
+        let target = target.replace("/estimate", "/estimate?points_in=100&ratio=4");
         assert_eq!(server.ask("GET", route.path, &target, "").await.0, 200, "{target}");
-        for (part, status) in
-            [("{id}", 404), ("{model}", 404)].into_iter().filter(|(p, _)| route.path.contains(p))
+        for (part, status) in [("{id}", 404), ("{model}", 404), ("{part}", 404), ("{number}", 404)]
+            .into_iter()
+            .filter(|(p, _)| route.path.contains(p))
         {
             let target = route.path.replace(part, "none").replace("{version}", "1");
             assert_eq!(server.ask("GET", route.path, &target, "").await.0, status, "{target}");
