@@ -169,11 +169,13 @@ const SECOND: &str = "
     CREATE OR REPLACE FUNCTION claim(of_kind TEXT, by_worker TEXT, at BIGINT, up_to BIGINT, OUT job jobs,
         OUT of_tile INTEGER) LANGUAGE plpgsql SET search_path FROM CURRENT AS $$
     #variable_conflict use_column
-    DECLARE next jobs;
+    DECLARE next jobs; others BOOLEAN;
     BEGIN
         PERFORM FROM totals FOR UPDATE;
         SELECT * INTO next FROM jobs WHERE waits AND kind = of_kind ORDER BY turn, number LIMIT 1;
-        SELECT min(tile) INTO of_tile FROM tiles WHERE state = 'waiting' AND job = next.id;
+        -- Two, in the order of an index, whatever is known of how many there are: of thousands each look would take longer.
+        SELECT min(tile), count(*) > 1 INTO of_tile, others FROM
+            (SELECT tile FROM tiles WHERE state = 'waiting' AND job = next.id ORDER BY job, tile LIMIT 2) AS two;
         IF of_tile IS NULL THEN
             UPDATE jobs SET state = 'running', attempts = attempts + 1,
                 started = CASE WHEN tiles IS NULL THEN at ELSE started END,
@@ -186,8 +188,7 @@ const SECOND: &str = "
         next.claims := next.claims + 1;
         UPDATE tiles SET state = 'running', attempts = attempts + 1, claims = next.claims, worker = by_worker,
             until = up_to WHERE job = next.id AND tile = of_tile;
-        UPDATE jobs SET claims = next.claims,
-            waits = EXISTS (SELECT FROM tiles WHERE job = next.id AND state = 'waiting'),
+        UPDATE jobs SET claims = next.claims, waits = others,
             turn = 1 + greatest((SELECT clock FROM totals), (SELECT coalesce(max(turn), 0) FROM jobs
                 WHERE client = next.client AND state IN ('queued', 'running')))
             WHERE id = next.id;
