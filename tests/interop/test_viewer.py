@@ -132,6 +132,7 @@ class Page:
             self.page.screenshot(path=f"{folder}/{name}.png")
         width = self.page.viewport_size["width"]
         assert self.page.evaluate("document.documentElement.scrollWidth") <= width, "nothing sticks out"
+        assert self.page.evaluate("[scrollY, document.documentElement.scrollTop]") == [0, 0], "only the panel scrolls"
         self.context.close()
         assert not [url for url in self.asked if not url.startswith((self.address, f"blob:{self.address}"))]
         assert not self.complaints

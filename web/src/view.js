@@ -9,6 +9,8 @@ import { screenMaterial } from "./shaders.js";
 
 /** Points that are drawn while the camera moves: at first, at least and at most. */
 const BUDGET = { first: 1_000_000, least: 65_536, most: 20_000_000 };
+/** The angle, in degrees, that is seen across the narrower side of a picture. */
+const ANGLE = 50;
 /** Milliseconds of a frame above which the budget shrinks, and below which it grows. */
 const SLOW = 45, FAST = 22;
 /** Above this many pixels a pixel a phone draws more than anybody sees. */
@@ -30,7 +32,7 @@ export class View {
     this.slots = { before: null, after: null };
     this.scene = new Scene();
     this.lines = new Scene();
-    this.camera = new PerspectiveCamera(50, 1, 0.1, 100);
+    this.camera = new PerspectiveCamera(ANGLE, 1, 0.1, 100);
     this.comparison = "before";
     this.split = 0.5;
     this.turn = "after";
@@ -138,8 +140,7 @@ export class View {
     const centre = least.clone().add(greatest).multiplyScalar(0.5), radius = Math.max(this.radius(), 1e-9);
     const from = new Vector3(-0.9, -0.9, -0.9).setComponent(this.upAxis, 0.65 * this.upSign);
     if (this.upAxis === 1) from.set(0.75, 0.45, 1).multiplyScalar(this.upSign);
-    const wide = Math.min(1, this.camera.aspect);
-    const distance = radius / Math.sin(this.camera.fov * Math.PI / 360) / wide * 0.82;
+    const distance = 0.82 * radius / Math.sin(radians(ANGLE / 2));
     this.camera.position.copy(centre).addScaledVector(from.normalize(), distance);
     this.controls.target.copy(centre);
     this.controls.update();
@@ -223,7 +224,7 @@ export class View {
 
   /** Draws the next points of each part of the picture; gives the block after them. */
   #draw(begins) {
-    const { renderer, target, camera } = this, [width, height] = [target.width, target.height];
+    const { renderer, target } = this, [width, height] = [target.width, target.height];
     const panes = this.panes();
     renderer.setRenderTarget(target);
     target.scissorTest = true;
@@ -236,8 +237,7 @@ export class View {
       target.scissor.set(left, 0, right - left, height);
       if (whole) target.viewport.set(0, 0, width, height);
       else target.viewport.set(left, 0, right - left, height);
-      camera.aspect = target.viewport.z / target.viewport.w;
-      camera.updateProjectionMatrix();
+      this.#aim(target.viewport.z / target.viewport.w);
       renderer.setRenderTarget(target);
       if (begins) renderer.clear();
       next = Math.max(next, this.#drawSlot(drawn, panes.length));
@@ -273,7 +273,7 @@ export class View {
     uniforms.greatest.value.copy(greatest).addScalar(margin);
     uniforms.upAxis.value = this.upAxis;
     // Pixels of a length of one at a distance of one.
-    const pixels = this.target.viewport.w / 2 / Math.tan(this.camera.fov * Math.PI / 360);
+    const pixels = this.target.viewport.w / 2 / Math.tan(radians(this.camera.fov / 2));
     uniforms.size.value = 1.5 * this.pointSize * cloud.spacing() * pixels;
     uniforms.smallest.value = 2 * this.renderer.getPixelRatio() * Math.min(1, this.pointSize);
   }
@@ -290,6 +290,14 @@ export class View {
     this.renderer.render(this.screenScene, this.screenCamera);
   }
 
+  /** Fits the camera to a picture of this width to height. A narrow one shows as much across as a wide one does in height. */
+  #aim(aspect) {
+    const { camera } = this;
+    camera.aspect = aspect;
+    camera.fov = aspect >= 1 ? ANGLE : 2 / radians(1) * Math.atan(Math.tan(radians(ANGLE / 2)) / aspect);
+    camera.updateProjectionMatrix();
+  }
+
   /** Where a pane lies on the page, in pixels of the page, and what it shows. */
   #paneAt(x) {
     const width = this.canvas.clientWidth, share = x / width;
@@ -299,8 +307,7 @@ export class View {
 
   /** The matrix from the scene to a pane, by way of the camera. */
   #projection(pane) {
-    this.camera.aspect = pane.width / this.canvas.clientHeight;
-    this.camera.updateProjectionMatrix();
+    this.#aim(pane.width / this.canvas.clientHeight);
     this.camera.updateMatrixWorld();
     return this.camera.projectionMatrix.clone().multiply(this.camera.matrixWorldInverse);
   }
@@ -373,6 +380,8 @@ export class View {
     return new Vector3(...place.map((at, axis) => at - this.origin[axis]));
   }
 }
+
+const radians = degrees => degrees * Math.PI / 180;
 
 /** The twelve edges of a box. */
 function edges({ least, greatest }) {
