@@ -98,10 +98,10 @@ export class Comparison {
       byId(id).textContent = panes[i] && text(panes[i]) || "";
     });
     let drawn = 0;
-    for (const { slot } of panes) drawn += drawnOf(slots[slot], this.view);
+    for (const { slot } of panes) drawn += drawnOf(slots[slot], this.view.done[slot]);
     byId("drawn").textContent = drawn > 0 ? `${whole(drawn)} drawn` : "";
   }
 }
 
 /** Points of a cloud that are on the screen so far. */
-const drawnOf = (drawn, { done }) => drawn ? drawn.cloud.blocks.slice(0, done).reduce((sum, { count }) => sum + count, 0) : 0;
+const drawnOf = (drawn, done) => drawn ? drawn.cloud.blocks.slice(0, done).reduce((sum, { count }) => sum + count, 0) : 0;

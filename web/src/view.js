@@ -46,8 +46,10 @@ export class View {
     this.origin = [0, 0, 0];
     this.bounds = { least: new Vector3(-1, -1, -1), greatest: new Vector3(1, 1, 1) };
     this.box = null;
-    /** Blocks that are drawn already; what is missing comes with the next frames. */
-    this.done = 0;
+    /** Blocks that are drawn already, by their slot; what is missing comes with the next frames. */
+    this.done = { before: 0, after: 0 };
+    /** Whether the next frame begins with an empty picture. */
+    this.begins = true;
     this.listeners = [];
     this.#prepareScreen();
     this.#control();
@@ -112,10 +114,10 @@ export class View {
     return this.slots[slot];
   }
 
-  /** Draws a further block of a cloud in its place. */
+  /** Draws a further block of a cloud in its place, beside those that are drawn. */
   add(slot, block) {
     this.slots[slot].add(block);
-    this.refresh();
+    this.#ask();
   }
 
   #measure() {
@@ -189,7 +191,8 @@ export class View {
 
   /** Draws anew, from the first points on. */
   refresh() {
-    this.done = 0;
+    this.done = { before: 0, after: 0 };
+    this.begins = true;
     this.#ask();
   }
 
@@ -203,15 +206,14 @@ export class View {
   }
 
   #frame(time) {
-    const begins = this.done === 0;
+    const { begins } = this;
     if (begins) this.#adapt(time);
     this.last = begins ? time : undefined;
-    const most = Math.max(0, ...this.drawnClouds().map(drawn => drawn.cloud.blocks.length));
-    const next = this.#draw(begins);
+    this.begins = false;
+    this.#draw(begins);
     this.#finish();
-    this.done = next;
-    this.complete = next >= most;
-    if (!this.complete) this.#ask();
+    const isLeft = ({ slot }) => this.slots[slot] && this.done[slot] < this.slots[slot].cloud.blocks.length;
+    if (this.panes().some(isLeft)) this.#ask();
     this.listeners.forEach(listener => listener());
   }
 
@@ -222,13 +224,12 @@ export class View {
     else if (took > 0 && took < FAST) this.budget = Math.min(BUDGET.most, this.budget * 1.15);
   }
 
-  /** Draws the next points of each part of the picture; gives the block after them. */
+  /** Draws the next points of each part of the picture. */
   #draw(begins) {
     const { renderer, target } = this, [width, height] = [target.width, target.height];
     const panes = this.panes();
     renderer.setRenderTarget(target);
     target.scissorTest = true;
-    let next = 0;
     this.#setPlanes();
     for (const { slot, from, to, whole } of panes) {
       const drawn = this.slots[slot];
@@ -240,24 +241,24 @@ export class View {
       this.#aim(target.viewport.z / target.viewport.w);
       renderer.setRenderTarget(target);
       if (begins) renderer.clear();
-      next = Math.max(next, this.#drawSlot(drawn, panes.length));
+      this.#drawSlot(slot, panes.length, begins);
     }
     if (panes.every(({ slot }) => !this.slots[slot])) {
       target.scissorTest = false;
       renderer.setRenderTarget(target);
       renderer.clear();
     }
-    return next;
   }
 
-  #drawSlot(drawn, parts) {
-    const end = this.done + drawn.blocksOf(this.budget / parts);
+  #drawSlot(slot, parts, begins) {
+    const drawn = this.slots[slot], from = this.done[slot];
+    const to = Math.min(drawn.cloud.blocks.length, from + drawn.blocksOf(this.budget / parts));
     for (const other of this.drawnClouds()) other.group.visible = other === drawn;
-    drawn.show(this.done, end);
+    drawn.show(from, to);
     this.#setUniforms(drawn);
     this.renderer.render(this.scene, this.camera);
-    if (this.done === 0) this.renderer.render(this.lines, this.camera);
-    return end;
+    if (begins) this.renderer.render(this.lines, this.camera);
+    this.done[slot] = to;
   }
 
   #setPlanes() {
