@@ -13,6 +13,8 @@ const BUDGET = { first: 1_000_000, least: 65_536, most: 20_000_000 };
 const ANGLE = 50;
 /** Milliseconds of a frame above which the budget shrinks, and below which it grows. */
 const SLOW = 45, FAST = 22;
+/** Milliseconds after which a frame is no longer one of the same movement. */
+const PAUSE = 500;
 /** Above this many pixels a pixel a phone draws more than anybody sees. */
 const SHARPEST = 2;
 /** How dark the edges of depth are. */
@@ -51,6 +53,8 @@ export class View {
     /** Whether the next frame begins with an empty picture. */
     this.begins = true;
     this.listeners = [];
+    this.last = -Infinity;
+    this.goesOn = false;
     this.#prepareScreen();
     this.#control();
     new ResizeObserver(() => this.resize()).observe(canvas);
@@ -207,21 +211,24 @@ export class View {
 
   #frame(time) {
     const { begins } = this;
-    if (begins) this.#adapt(time);
-    this.last = begins ? time : undefined;
+    this.#adapt(time);
     this.begins = false;
     this.#draw(begins);
     this.#finish();
     const isLeft = ({ slot }) => this.slots[slot] && this.done[slot] < this.slots[slot].cloud.blocks.length;
-    if (this.panes().some(isLeft)) this.#ask();
+    this.goesOn = this.panes().some(isLeft);
+    if (this.goesOn) this.#ask();
     this.listeners.forEach(listener => listener());
   }
 
   /** Takes more or fewer points by how long the frame before took, where one followed another. */
   #adapt(time) {
-    const took = this.last === undefined ? 0 : time - this.last;
-    if (took > SLOW && took < 1000) this.budget = Math.max(BUDGET.least, this.budget * 0.75);
-    else if (took > 0 && took < FAST) this.budget = Math.min(BUDGET.most, this.budget * 1.15);
+    const took = time - this.last;
+    this.last = time;
+    // Between two frames of which neither asked for the other, a person may have done nothing.
+    if (!this.goesOn && took > PAUSE) return;
+    if (took > SLOW) this.budget = Math.max(BUDGET.least, this.budget * 0.75);
+    else if (took < FAST) this.budget = Math.min(BUDGET.most, this.budget * 1.15);
   }
 
   /** Draws the next points of each part of the picture. */
