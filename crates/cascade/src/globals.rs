@@ -168,6 +168,6 @@ pub(crate) fn median(values: &[f32]) -> f32 {
 }
 
 /// The `n`th least, from 0.
-fn nth(values: &mut [f32], n: usize) -> f32 {
+pub(crate) fn nth(values: &mut [f32], n: usize) -> f32 {
     *values.select_nth_unstable_by(n, f32::total_cmp).1
 }

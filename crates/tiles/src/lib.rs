@@ -13,6 +13,7 @@
 //! A cloud that one tile holds is none of ours: [`Input::read`] tells, and gives it as it is read anywhere else.
 
 mod chunk;
+mod disk;
 mod error;
 mod flow;
 mod folder;

@@ -8,7 +8,7 @@ use densecloud_formats::{Block, CloudReader, Format, Limits, encode};
 use serde::{Deserialize, Serialize};
 
 use crate::chunk::{kind_named, name_of};
-use crate::folder::write_whole;
+use crate::disk::write_whole;
 use crate::{Folder, TilesError};
 
 /// An [`Origin`] as JSON has it, but for what only the input's format knows.

@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::TilesError;
 use crate::chunk::{self, KindName, ROWS};
-use crate::folder::write_whole;
+use crate::disk::write_whole;
 use crate::tile::TileCloud;
 use crate::tiling::Tiling;
 

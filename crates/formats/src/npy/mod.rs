@@ -1,7 +1,10 @@
 //! NumPy's `.npy`: a header that is a Python literal, then one array.
 
+mod header;
 mod literal;
+mod number;
 mod read;
+mod shape;
 
 use std::fmt;
 

@@ -15,7 +15,7 @@ use densecloud_cloud::{Attribute, Facts, Frame, FrameError, Position};
 use densecloud_geometry::Partition;
 
 use crate::chunk::KindName;
-use crate::folder::write_whole;
+use crate::disk::write_whole;
 use crate::input::{Large, check_format, empty, kept};
 use crate::manifest::{Causes, Column, Manifest, Tile, nodes};
 

@@ -6,7 +6,7 @@ use densecloud_formats::{Block, Format};
 
 use super::spill::Spilled;
 use super::{BARE, Large};
-use crate::folder::free_space;
+use crate::disk::free_space;
 use crate::{Folder, TilesError, Work};
 
 /// Asks for what is known of a cloud whose first points are read: the number of points that its header tells, and the types

@@ -3,6 +3,7 @@
 
 mod carry;
 mod finish;
+mod finished;
 mod keep;
 mod mean;
 mod near;
@@ -13,6 +14,7 @@ mod sure;
 mod vectors;
 
 pub use carry::carry;
-pub use finish::{Finish, Part, finish, finish_part};
+pub use finish::Finish;
+pub use finished::{Part, finish, finish_part};
 pub use plan::Plan;
 pub use rules::{Rule, Rules, RulesError};
