@@ -56,6 +56,21 @@ fn the_steps_give_what_the_command_gives() {
 }
 
 #[test]
+fn tiles_without_a_polish_give_as_many_points_as_are_asked_for() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = within(&folder);
+    std::fs::write(path("in.xyz"), sphere(2500)).expect("a file");
+    for (ratio, points) in [("2", 5000), ("4", 10_000)] {
+        let options = ["--ratio", ratio, "--no-polish", TILE[0], TILE[1]];
+        let made = run(&[&["upsample", &path("in.xyz"), &path("out.xyz")], &options[..]].concat());
+        assert!(made.status.success(), "{made:?}");
+        assert!(String::from_utf8_lossy(&made.stderr).contains("(3 tiles)"), "{made:?}");
+        let dense = std::fs::read_to_string(path("out.xyz")).expect("text");
+        assert_eq!(dense.lines().count(), points);
+    }
+}
+
+#[test]
 fn memory_decides_how_large_tiles_are() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = within(&folder);

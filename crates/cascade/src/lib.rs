@@ -83,7 +83,7 @@ use densecloud_geometry::{TooManyPoints, check_count};
 use globals::Globals;
 use input::Input;
 use level::{Handover, Run, run_levels};
-use plan::Plan;
+use plan::{Choice, Plan};
 use weave::{Cloth, woven};
 
 /// How to run the cascade; the defaults are what the shipped model was measured with.
@@ -276,13 +276,14 @@ pub fn upsample(
     options.check()?;
     let input = Input::prepare(positions)?;
     let mut globals = Globals::new(input.frame);
-    cascade(input, target, &Run { options, runner, observer, part: None }, &mut globals)
+    let among = if options.polish { Choice::Polished } else { Choice::Made };
+    cascade(input, (target, among), &Run { options, runner, observer, part: None }, &mut globals)
 }
 
 /// Runs all levels. Takes the statistics that `globals` has, and fills in the others.
 fn cascade(
     input: Input,
-    target: Target,
+    (target, among): (Target, Choice),
     run: &Run<'_>,
     globals: &mut Globals,
 ) -> Result<Upsampled, CascadeError> {
@@ -292,7 +293,7 @@ fn cascade(
     let Parted { together, apart } = Parted::of(&points, shape.neighbours + 1, globals);
     drop(points);
     if globals.sizes.is_empty() {
-        globals.plan(plan.sizes(apart.len(), together.points.len(), run.options.polish));
+        globals.plan(plan.sizes(apart.len(), together.points.len(), among));
     }
     run.observer.plan(&globals.sizes);
     let levels = globals.sizes.len();

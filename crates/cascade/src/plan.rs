@@ -71,8 +71,28 @@ impl FromStr for Quality {
     }
 }
 
-/// A polished level may output up to 1.25 × (2 × its input points).
-const SPARE: f64 = 1.25;
+/// What the last level chooses its result among.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Choice {
+    /// What its unit makes, and midpoints: for a polish.
+    Polished,
+    /// What its unit makes.
+    Made,
+    /// The same, but for what lies at the border of a part or beyond.
+    MadeInside,
+}
+
+impl Choice {
+    /// How many points the level may output, in those that its unit makes, which are twice its input.
+    fn share(self) -> f64 {
+        match self {
+            Self::Polished => 1.25,
+            Self::Made => 1.0,
+            // Of a part of 100 points a tenth is lost at its border, of larger ones less; and there are strays.
+            Self::MadeInside => 0.8,
+        }
+    }
+}
 
 /// How many points are wanted of an input, and in how many levels.
 #[derive(Debug, PartialEq, Eq)]
@@ -110,13 +130,17 @@ impl Plan {
     }
 
     /// The sizes after each level, doubling, and the target last, when `apart` points are kept as they are and `together`
-    /// are worked on. A `polished` last level can choose among more than twice its input, so a few points that are apart
+    /// are worked on. A polished last level can choose among more than twice its input, so a few points that are apart
     /// or coincide with others do not cost a level.
-    pub(super) fn sizes(&self, apart: usize, together: usize, polished: bool) -> Vec<usize> {
+    pub(super) fn sizes(&self, apart: usize, together: usize, among: Choice) -> Vec<usize> {
         let wanted = self.wanted - apart;
-        let spare = if polished { SPARE } else { 1.0 };
+        let share = match self.quality {
+            Quality::Standard => among.share(),
+            // The level more has room for all that a part lacks.
+            Quality::Best => among.share().max(1.0),
+        };
         let (mut sizes, mut size) = (Vec::new(), together);
-        while sizes.len() < self.levels || spare * (size as f64) < wanted as f64 {
+        while sizes.len() < self.levels || share * (size as f64) < wanted as f64 {
             size *= 2;
             sizes.push(size.min(wanted));
         }
@@ -135,7 +159,11 @@ mod tests {
     const SHAPE: UnitShape = UnitShape { patch_size: 312, neighbours: 32, channels: 264 };
 
     fn sizes(target: Target, finite: usize, distinct: usize) -> Vec<usize> {
-        Plan::new(target, Quality::Standard, finite, distinct, SHAPE).unwrap().sizes(0, distinct, true)
+        Plan::new(target, Quality::Standard, finite, distinct, SHAPE).unwrap().sizes(
+            0,
+            distinct,
+            Choice::Polished,
+        )
     }
 
     #[test]
@@ -157,11 +185,11 @@ mod tests {
     #[test]
     fn the_best_quality_takes_a_level_more() {
         let of = |ratio| Plan::new(Target::Ratio(ratio), Quality::Best, 1000, 1000, SHAPE).unwrap();
-        assert_eq!(of(1.0).sizes(0, 1000, true), [1000, 1000]);
-        assert_eq!(of(3.0).sizes(0, 1000, true), [2000, 3000, 3000]);
-        assert_eq!(of(4.0).sizes(0, 1000, true), [2000, 4000, 4000]);
-        assert_eq!(of(4.0).sizes(100, 900, true), [1800, 3600, 3900]);
-        assert_eq!(of(4.0).sizes(0, 400, true), [800, 1600, 3200, 4000]);
+        assert_eq!(of(1.0).sizes(0, 1000, Choice::Polished), [1000, 1000]);
+        assert_eq!(of(3.0).sizes(0, 1000, Choice::Polished), [2000, 3000, 3000]);
+        assert_eq!(of(4.0).sizes(0, 1000, Choice::Polished), [2000, 4000, 4000]);
+        assert_eq!(of(4.0).sizes(100, 900, Choice::Polished), [1800, 3600, 3900]);
+        assert_eq!(of(4.0).sizes(0, 400, Choice::Polished), [800, 1600, 3200, 4000]);
         let large = Plan::new(Target::Points(3 << 30), Quality::Best, 1 << 30, 1 << 30, SHAPE).unwrap_err();
         assert!(matches!(large, CascadeError::TooManyPoints(_)), "{large}");
     }
@@ -181,23 +209,36 @@ mod tests {
         assert_eq!(sizes(Target::Ratio(4.0), 1000, 700), [1400, 2800, 4000]);
         assert_eq!(sizes(Target::Ratio(2.0), 1000, 390), [780, 1560, 2000]);
         let rough = Plan::new(Target::Ratio(4.0), Quality::Standard, 1000, 999, SHAPE).unwrap();
-        assert_eq!(rough.sizes(0, 999, false), [1998, 3996, 4000]);
-        assert_eq!(rough.sizes(10, 989, true), [1978, 3990]);
+        assert_eq!(rough.sizes(0, 999, Choice::Made), [1998, 3996, 4000]);
+        assert_eq!(rough.sizes(10, 989, Choice::Polished), [1978, 3990]);
     }
 
     #[test]
     fn points_apart_take_none_of_the_levels_and_cost_none() {
         let quality = Quality::Standard;
-        let of = |ratio, apart, polished| {
+        let of = |ratio, apart, among| {
             let plan = Plan::new(Target::Ratio(ratio), quality, 1000, 1000, SHAPE).unwrap();
-            plan.sizes(apart, 1000 - apart, polished)
+            plan.sizes(apart, 1000 - apart, among)
         };
-        assert_eq!(of(4.0, 0, true), [2000, 4000]);
-        assert_eq!(of(4.0, 10, true), [1980, 3990]);
-        assert_eq!(of(4.0, 10, false), [1980, 3960, 3990]);
-        assert_eq!(of(4.0, 400, true), [1200, 2400, 3600]);
-        assert_eq!(of(1.0, 10, true), [990]);
-        assert_eq!(of(3.0, 10, true), [1980, 2990]);
+        assert_eq!(of(4.0, 0, Choice::Polished), [2000, 4000]);
+        assert_eq!(of(4.0, 10, Choice::Polished), [1980, 3990]);
+        assert_eq!(of(4.0, 10, Choice::Made), [1980, 3960, 3990]);
+        assert_eq!(of(4.0, 400, Choice::Polished), [1200, 2400, 3600]);
+        assert_eq!(of(1.0, 10, Choice::Polished), [990]);
+        assert_eq!(of(3.0, 10, Choice::Polished), [1980, 2990]);
+    }
+
+    #[test]
+    fn parts_without_a_polish_have_points_to_spare() {
+        let of = |ratio, quality| {
+            let plan = Plan::new(Target::Ratio(ratio), quality, 1000, 1000, SHAPE).unwrap();
+            plan.sizes(0, 1000, Choice::MadeInside)
+        };
+        assert_eq!(of(1.5, Quality::Standard), [1500]);
+        assert_eq!(of(2.0, Quality::Standard), [2000, 2000]);
+        assert_eq!(of(3.0, Quality::Standard), [2000, 3000]);
+        assert_eq!(of(4.0, Quality::Standard), [2000, 4000, 4000]);
+        assert_eq!(of(4.0, Quality::Best), [2000, 4000, 4000], "as many as need be");
     }
 
     #[test]

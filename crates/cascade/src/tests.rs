@@ -438,7 +438,7 @@ fn with_globals(
     let input = Input::prepare(cloud).unwrap();
     let mut globals = known.cloned().unwrap_or_else(|| Globals::new(input.frame));
     let run = Run { options: &options, runner: &runner, observer: &Silent, part: None };
-    let dense = cascade(input, Target::Ratio(4.0), &run, &mut globals)?;
+    let dense = cascade(input, (Target::Ratio(4.0), Choice::Polished), &run, &mut globals)?;
     Ok((dense.positions, globals))
 }
 

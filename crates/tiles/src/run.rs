@@ -5,7 +5,8 @@ use std::io::BufWriter;
 
 use densecloud::attributes::{self, finish_part};
 use densecloud_cascade::{
-    CascadeError, LevelRunner, Observer, Part, Stage, Target, UpsampledPart, upsample, upsample_part,
+    CascadeError, LevelRunner, Observer, Part, Stage, Target, Upsampled, UpsampledPart, upsample,
+    upsample_part,
 };
 use densecloud_cloud::{Attribute, FrameError, Position};
 use densecloud_formats::Block;
@@ -75,8 +76,8 @@ impl Tiling {
             why => TilesError::Tile { tile, bounds: points.bounds(), why },
         };
         let made = self.upsampled(tile, &points.cloud.positions, runner, observer).map_err(failed)?;
-        let UpsampledPart { positions, rim, duplicates, apart } = made;
-        observer.begin(self.levels(), Stage::Attributes);
+        let UpsampledPart { positions, rim, duplicates, apart, levels } = made;
+        observer.begin(levels.saturating_sub(1), Stage::Attributes);
         let (positions, attributes) = self.finished(&points, positions, &rim, observer).map_err(failed)?;
         let done = Done {
             points: positions.len() as u64,
@@ -101,8 +102,8 @@ impl Tiling {
         if self.len() == 1 {
             // Nothing is around it, so it is worked on as anywhere else.
             let made = upsample(positions, Target::Points(size), options, runner, observer)?;
-            let (duplicates, apart) = (made.duplicates, made.apart);
-            return Ok(UpsampledPart { positions: made.positions, rim: Vec::new(), duplicates, apart });
+            let Upsampled { positions, duplicates, apart, levels, .. } = made;
+            return Ok(UpsampledPart { positions, rim: Vec::new(), duplicates, apart, levels });
         }
         let (partition, whole) = (&self.partition, &self.whole);
         let part = Part { positions, partition, cell: tile, whole, size };

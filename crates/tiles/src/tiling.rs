@@ -168,11 +168,6 @@ impl Tiling {
         read.saturating_mul(own).saturating_add(self.report.points_out.saturating_mul(made))
     }
 
-    pub(crate) fn levels(&self) -> usize {
-        (self.report.points_out as f64 / self.manifest.finite.max(1) as f64).log2().ceil().max(1.0) as usize
-            - 1
-    }
-
     /// What is known of a tile that is done; none where it is not.
     pub(crate) fn done(&self, tile: u32) -> Result<Option<Done>, TilesError> {
         let path = self.folder.done(tile);

@@ -50,6 +50,8 @@ pub struct UpsampledPart {
     pub duplicates: usize,
     /// Points of the cell that lie apart from all others, kept as they are.
     pub apart: usize,
+    /// How many levels there were.
+    pub levels: usize,
 }
 
 /// How far beyond its cell a part's halo has to reach, in the local spacing: the root of the area that an input point has.
@@ -93,7 +95,8 @@ pub fn upsample_part(
     let (dense, rim) = part.on_surfaces(together, wanted, &run, &mut globals)?;
     let dense = joined(dense, &apart);
     let world = |points: Vec<Point>| points.iter().map(|p| frame.to_world(*p)).collect();
-    Ok(UpsampledPart { positions: world(dense), rim: world(rim), duplicates, apart: apart.len() })
+    let (positions, rim, levels) = (world(dense), world(rim), globals.sizes.len());
+    Ok(UpsampledPart { positions, rim, duplicates, apart: apart.len(), levels })
 }
 
 impl Part<'_> {

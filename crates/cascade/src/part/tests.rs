@@ -118,6 +118,18 @@ fn every_cell_gives_exactly_its_points() {
 }
 
 #[test]
+fn without_a_polish_cells_have_points_enough_at_any_ratio() {
+    let options = CascadeOptions { polish: false, ..CascadeOptions::default() };
+    for (ratio, cells) in [(1.5, 4), (1.9, 4), (2.0, 12), (4.0, 4)] {
+        let cut = Cut::new(square(800, 15.0, 8), cells, ratio, options);
+        for cell in cut.cells() {
+            let made = cut.made(cell).unwrap_or_else(|e| panic!("cell {cell} of {cells} at {ratio}: {e}"));
+            assert_eq!(made.positions.len() as u64, cut.size(cell), "cell {cell} of {cells} at {ratio}");
+        }
+    }
+}
+
+#[test]
 fn both_sides_of_a_border_choose_the_same_points_there() {
     // Among the points of a lattice many are equally near.
     let lattice = (0..4096).map(|i| [0.5 * f64::from(i % 64), 0.5 * f64::from(i / 64), 0.0]).collect();

@@ -6,6 +6,7 @@ use super::field::Field;
 use crate::globals::{Globals, LevelGlobals, PolishGlobals};
 use crate::input::{Input, distinct, local};
 use crate::level::Run;
+use crate::plan::Choice;
 use crate::{CascadeError, CascadeOptions, LevelRunner, Observer, Target, cascade};
 use densecloud_cloud::{Frame, Point, Position};
 
@@ -58,7 +59,8 @@ impl Whole {
         let input = Input { frame, points, finite, non_finite: 0 };
         let mut globals = Globals::new(frame);
         let run = Run { options, runner, observer, part: None };
-        cascade(input, Target::Ratio(survey.ratio), &run, &mut globals)?;
+        let among = if options.polish { Choice::Polished } else { Choice::MadeInside };
+        cascade(input, (Target::Ratio(survey.ratio), among), &run, &mut globals)?;
         if let Some((field, usual)) = Field::of(&sample)? {
             let usual = usual - (survey.finite as f32 / sample.len() as f32).ln();
             let more = usual - globals.usual_point.unwrap_or(usual);

@@ -17,7 +17,7 @@ proptest! {
     #[test]
     fn counts_are_exact_and_the_input_is_kept(
         seed in any::<u64>(), n in 400_u32..1500, tile_points in 60_u64..390, ratio in 1.0_f64..6.0, by_area in any::<bool>(),
-        spoilt in 0_usize..20, twice in 0_usize..20,
+        no_polish in any::<bool>(), spoilt in 0_usize..20, twice in 0_usize..20,
     ) {
         let mut cloud = ground(n, seed);
         for i in 0..spoilt {
@@ -31,7 +31,14 @@ proptest! {
         let parent = tempfile::tempdir().expect("a folder");
         let ratio = ratio.to_string();
         let spread = if by_area { "area" } else { "neighbourhood" };
-        let options = [("ratio", &*ratio), ("keep_input", "true"), ("source_fields", "true"), ("spread", spread)];
+        let no_polish = no_polish.to_string();
+        let options = [
+            ("ratio", &*ratio),
+            ("no_polish", &*no_polish),
+            ("keep_input", "true"),
+            ("source_fields", "true"),
+            ("spread", spread),
+        ];
         let bench = Bench::new(tile_points, &options, "a.npy");
         let input = bytes(&cloud, "a.npy");
         let folder = Folder::temporary(parent.path()).expect("a folder");
@@ -160,7 +167,7 @@ fn one_tile_gives_the_bytes_of_a_cloud_in_none() {
     let mut cloud = ground(800, 6);
     cloud.positions[11] = [f64::INFINITY; 3];
     cloud.positions[12] = cloud.positions[13];
-    for (from, to) in [("a.las", "b.laz"), ("a.csv", "b.ply")] {
+    for (from, to, no_polish) in [("a.las", "b.laz", "false"), ("a.csv", "b.ply", "true")] {
         cloud.positions.retain(|p| from != "a.las" || p[0].is_finite());
         cloud
             .attributes
@@ -168,7 +175,8 @@ fn one_tile_gives_the_bytes_of_a_cloud_in_none() {
             .for_each(|a| a.values = a.values.gather(&(0..cloud.positions.len() as u32).collect::<Vec<_>>()));
         let input = bytes(&cloud, from);
         let options = [
-            ("ratio", "3"),
+            ("ratio", "4"),
+            ("no_polish", no_polish),
             ("source_fields", "true"),
             ("confidence", "true"),
             ("normals", "estimate"),
