@@ -3,7 +3,7 @@
 //! `DENSECLOUD_KILLS=50 cargo test --test program tiles` takes minutes; without it there are a few kills.
 
 use std::hash::{BuildHasher, RandomState};
-use std::io::Write;
+use std::io::{Read, Write};
 use std::path::Path;
 use std::process::Stdio;
 use std::time::Duration;
@@ -122,6 +122,29 @@ fn pipes_on_both_sides_give_the_same() {
         String::from_utf8_lossy(&refused.stderr).contains("E57 is written of a whole cloud"),
         "{refused:?}"
     );
+    assert_eq!(entries(&folder.path().join("temp")), 0);
+}
+
+#[test]
+fn a_reader_that_leaves_ends_the_work() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = within(&folder);
+    std::fs::write(path("in.xyz"), sphere(2500)).expect("a file");
+    // The first part alone is more than lies between.
+    let options = ["--ratio", "64", "--quiet", "--temp-dir", &path("temp"), TILE[0], TILE[1]];
+    let mut piped = densecloud()
+        .args(["upsample", &path("in.xyz"), "-"])
+        .args(options)
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("the program starts");
+    let mut stdout = piped.stdout.take().expect("piped");
+    stdout.read_exact(&mut [0; 100]).expect("points");
+    drop(stdout);
+    let ended = piped.wait_with_output().expect("the program ends");
+    assert_eq!(ended.status.code(), Some(1), "{ended:?}");
+    assert!(String::from_utf8_lossy(&ended.stderr).contains("-: Broken pipe"), "{ended:?}");
     assert_eq!(entries(&folder.path().join("temp")), 0);
 }
 

@@ -2,17 +2,19 @@
 
 use std::io::Write;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{self, Receiver};
 use std::thread;
 
 use densecloud::Report;
+use densecloud_cascade::{Observer, Stage};
 use densecloud_cloud::Attribute;
 use densecloud_formats::{CloudPlan, CloudWriter};
 
 use crate::part::PartReader;
 use crate::run::Done;
 use crate::tiling::Tiling;
-use crate::{TilesError, Work};
+use crate::{Step, TilesError, Watch, Work};
 
 /// A result that is written while it is made: its parts leave in the order of the tiles.
 pub struct Flow<W: Write> {
@@ -49,7 +51,8 @@ impl Tiling {
 
     /// Runs all tiles that are not done, and writes the result: each part on a thread beside the work as soon as it is
     /// final, where the format's files [flow](Self::flows), else all of them at the end. The bytes are those of
-    /// [`Tiling::join`]. What is written waits for nothing but the disk: a sink that is slow does not hold up the work.
+    /// [`Tiling::join`]. What is written waits for nothing but the disk: a sink that is slow does not hold up the work, and one
+    /// that fails, since its reader has left, ends it within a batch.
     ///
     /// # Errors
     /// As [`Tiling::run`] and [`Flow::advance`]; the sink has the beginning of a file then. The parts stay.
@@ -62,15 +65,53 @@ impl Tiling {
             self.run_all(work)?;
             return self.join()?.write(sink);
         }
+        let wanted = Wanted { watch: work.watch, no_more: AtomicBool::new(false) };
         thread::scope(|scope| {
             let (done, finals) = mpsc::channel();
-            let writing = scope.spawn(move || written(self, sink, &finals));
-            let ran = self.run_each(work, || done.send(()).is_ok());
+            let no_more = &wanted.no_more;
+            let writing = scope.spawn(move || {
+                written(self, sink, &finals).inspect_err(|_| no_more.store(true, Ordering::Relaxed))
+            });
+            let ran = self.run_each(&Work { watch: &wanted, ..*work }, || done.send(()).is_ok());
             drop(done);
             let written = writing.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))?;
             ran?;
             written.ok_or(TilesError::NotDone(self.not_done()?))
         })
+    }
+}
+
+/// Stops a work whose result can be written no further.
+struct Wanted<'a> {
+    watch: &'a dyn Watch,
+    no_more: AtomicBool,
+}
+
+impl Observer for Wanted<'_> {
+    fn plan(&self, sizes: &[usize]) {
+        self.watch.plan(sizes);
+    }
+
+    fn begin(&self, level: usize, stage: Stage) {
+        self.watch.begin(level, stage);
+    }
+
+    fn advance(&self, done: usize, total: usize) {
+        self.watch.advance(done, total);
+    }
+
+    fn cancelled(&self) -> bool {
+        self.no_more.load(Ordering::Relaxed) || self.watch.cancelled()
+    }
+}
+
+impl Watch for Wanted<'_> {
+    fn step(&self, step: Step) {
+        self.watch.step(step);
+    }
+
+    fn read(&self, points: u64) {
+        self.watch.read(points);
     }
 }
 

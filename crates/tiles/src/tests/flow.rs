@@ -1,13 +1,16 @@
 //! Parts leave while later tiles are worked on, and make the file that all of them joined would.
 
 use std::io::{self, Write};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{self, Receiver, Sender};
 use std::sync::{Arc, Mutex};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use super::support::{Bench, bytes, entries, ground, joined, read};
 use crate::{Folder, Step, TilesError, Watch};
-use densecloud_cascade::Observer;
+use densecloud_cascade::{
+    CascadeError, FeatureTable, LevelInput, LevelOutput, LevelRunner, Observer, UnitShape,
+};
 
 /// Longer than anything here takes; a test that needs it all has failed.
 const PATIENCE: Duration = Duration::from_secs(60);
@@ -130,4 +133,67 @@ fn a_sink_that_fails_ends_the_work_with_its_own_words() {
     let why = tiling.run_into(&bench.work(), Told { bytes: Vec::new(), tell, most: 600 }).expect_err("full");
     assert!(matches!(why, TilesError::Format(_)) && why.to_string().contains("the disk is full"), "{why}");
     assert!(!tiling.not_done().expect("records").is_empty(), "it went on in vain");
+}
+
+/// Says when the second tile is begun.
+struct Second(Arc<AtomicBool>);
+
+impl Observer for Second {}
+
+impl Watch for Second {
+    fn step(&self, step: Step) {
+        self.0.fetch_or(matches!(step, Step::Tile { done: 1, .. }), Ordering::Relaxed);
+    }
+}
+
+/// A runner whose units take for ever from the second tile on, unless they are stopped.
+struct Endless {
+    runner: Arc<dyn LevelRunner>,
+    is_second: Arc<AtomicBool>,
+}
+
+impl LevelRunner for Endless {
+    fn shape(&self) -> UnitShape {
+        self.runner.shape()
+    }
+
+    fn units(&self) -> usize {
+        self.runner.units()
+    }
+
+    fn provider(&self) -> &str {
+        self.runner.provider()
+    }
+
+    fn run_level(
+        &self,
+        level: &LevelInput<'_>,
+        previous: Option<&FeatureTable>,
+        observer: &dyn Observer,
+    ) -> Result<LevelOutput, CascadeError> {
+        if !self.is_second.load(Ordering::Relaxed) {
+            return self.runner.run_level(level, previous, observer);
+        }
+        let start = Instant::now();
+        while !observer.cancelled() {
+            assert!(start.elapsed() < PATIENCE, "it is not stopped");
+            std::thread::yield_now();
+        }
+        Err(CascadeError::Cancelled)
+    }
+}
+
+#[test]
+fn a_sink_that_fails_ends_a_tile_in_the_middle() {
+    let input = bytes(&ground(900, 5), "a.ply");
+    let parent = tempfile::tempdir().expect("a folder");
+    let is_second = Arc::new(AtomicBool::new(false));
+    let bench = Bench::new(250, &[("ratio", "2")], "b.ply");
+    let runner = Arc::new(Endless { runner: bench.runner, is_second: Arc::clone(&is_second) });
+    let bench = Bench { runner, watch: Box::new(Second(is_second)), ..bench };
+    let folder = Folder::temporary(parent.path()).expect("a folder");
+    let tiling = Arc::new(bench.plan(&input, &folder).expect("a plan"));
+    let sink = Told { bytes: Vec::new(), tell: mpsc::channel().0, most: 600 };
+    let why = tiling.run_into(&bench.work(), sink).expect_err("full");
+    assert!(matches!(why, TilesError::Format(_)) && why.to_string().contains("the disk is full"), "{why}");
 }
