@@ -365,6 +365,33 @@ fn a_job_goes_on_with_the_tiles_that_were_done() {
 }
 
 #[test]
+fn a_job_is_planned_once_the_disk_has_room_for_all_of_it() {
+    let (body, pairs) = request();
+    let needed =
+        in_tiles(&body, &options(&pairs, None), Fake::new(), &Nobody, |tiling, _| tiling.disk_bytes());
+    // A tile alone would find room in less.
+    for (temp_bytes, becomes, state) in [(needed - 1, "later", "queued"), (needed, "done", "done")] {
+        let (temp, folder) = (tempfile::tempdir().expect("a folder"), tempfile::tempdir().expect("a folder"));
+        let mut config = config(temp.path());
+        config.limits.temp_bytes = temp_bytes;
+        config.jobs = Some(densecloud_jobs::Settings::new(folder.path().to_owned()));
+        let server = Server::start(&Scripted::new(), config);
+        let job = server.post("/jobs?ratio=2&tile_points=1000", &body);
+        let path = job.header("location").expect("a location").to_owned();
+        let count = |outcome: &str| {
+            server.metric(&format!("densecloud_steps_total{{step=\"whole\",outcome=\"{outcome}\"}}"))
+        };
+        let all = || ["done", "failed", "later", "lost"].map(count).iter().sum::<f64>();
+        wait_until("it is planned, or not", || all() > 0.0);
+        assert!(count(becomes) > 0.0, "with {temp_bytes} bytes it is not {becomes}");
+        wait_until("its state is told", || {
+            let told: Value = serde_json::from_slice(&server.get(&path).body).expect("JSON");
+            told["state"] == state
+        });
+    }
+}
+
+#[test]
 fn a_long_upload_lies_on_the_disk() {
     let temp = tempfile::tempdir().expect("a folder");
     let mut config = config(temp.path());
