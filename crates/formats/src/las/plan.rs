@@ -143,26 +143,18 @@ impl Plan {
     ) {
         let pieces = rows.par_chunks_mut(PIECE * stride).zip(positions.par_chunks(PIECE)).enumerate();
         pieces.for_each(|(piece, (rows, positions))| {
-            self.fill_piece(rows, stride, positions, attributes, from + piece * PIECE);
+            rows.fill(0);
+            self.put_positions(rows, stride, positions);
+            let from = from + piece * PIECE;
+            self.columns.iter().for_each(|column| column.put(rows, stride, attributes, from));
         });
     }
 
-    fn fill_piece(
-        &self,
-        rows: &mut [u8],
-        stride: usize,
-        positions: &[Position],
-        attributes: &[Attribute],
-        from: usize,
-    ) {
-        rows.fill(0);
+    fn put_positions(&self, rows: &mut [u8], stride: usize, positions: &[Position]) {
         for (row, position) in rows.chunks_exact_mut(stride).zip(positions) {
             for ((place, axis), coordinate) in row[..12].chunks_exact_mut(4).zip(self.axes).zip(position) {
                 place.copy_from_slice(&steps(axis, *coordinate).to_le_bytes());
             }
-        }
-        for column in &self.columns {
-            column.put(rows, stride, attributes, from);
         }
     }
 
