@@ -7,8 +7,8 @@ use super::super::source::Source;
 use super::super::spool::Spool;
 use super::super::{Format, FormatError, Limits, Reading};
 use super::seen::Seen;
-use super::{FIELDS, Form, WHOLE, pack, read, renamed, unseen, write};
-use densecloud_cloud::{Attribute, Origin, Position, Role};
+use super::{FIELDS, Form, LasOrigin, WHOLE, crs, pack, read, renamed, unseen, write};
+use densecloud_cloud::{Attribute, Crs, Origin, Position, Role};
 
 /// COPC, which has no choices.
 #[derive(Debug, Clone, Copy)]
@@ -55,8 +55,16 @@ impl Choices for Copc {
         (*self).into()
     }
 
-    fn not_held(&self, _attributes: &[Attribute], _origin: &Origin) -> Vec<String> {
-        Vec::new()
+    fn not_held(&self, _attributes: &[Attribute], origin: &Origin) -> Vec<String> {
+        let records = LasOrigin::of(origin).map(|las| &las.records[..]).unwrap_or_default();
+        let without = origin.crs.iter().filter(|crs| !crs::is_wkt(&crs::as_text(crs, records)));
+        let told = |crs: &Crs| {
+            let name = crs.name();
+            format!(
+                "a coordinate system without well-known text ({name} is in GeoTIFF's keys, which not all viewers read)"
+            )
+        };
+        without.map(told).collect()
     }
 
     fn renamed(&self, attributes: &[Attribute], origin: &Origin) -> Vec<(String, String)> {

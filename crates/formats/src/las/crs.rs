@@ -3,6 +3,7 @@
 use super::super::names::cut;
 use super::LasRecord;
 use super::records::{MOST, number, text};
+use super::wkt;
 use densecloud_cloud::Crs;
 
 const USER: &str = "LASF_Projection";
@@ -20,29 +21,37 @@ const GEOGRAPHIC_CITATION: u16 = 2049;
 const PROJECTED: u16 = 3072;
 const PROJECTED_CITATION: u16 = 3073;
 const VERTICAL: u16 = 4096;
+const VERTICAL_CITATION: u16 = 4097;
 const USER_DEFINED: u16 = 32_767;
+/// What a raster's cells stand for.
+const RASTER: u16 = 1025;
+/// Keys for units, and what they are in the systems that [`wkt`] knows: metres and degrees.
+const UNITS: [(u16, u16); 4] = [(2052, 9001), (2054, 9102), (3076, 9001), (4099, 9001)];
 
 /// Whether a record is well-known text in its place.
 pub(super) fn is_wkt_record(record: &LasRecord) -> bool {
     record.user_id.eq_ignore_ascii_case(USER) && record.id == WKT
 }
 
+fn find(records: &[LasRecord], id: u16) -> Option<&LasRecord> {
+    records.iter().find(|r| r.user_id.eq_ignore_ascii_case(USER) && r.id == id)
+}
+
+/// Four numbers a key: the key, where its value is, how long it is, and the value or its place.
+fn keys(records: &[LasRecord]) -> Option<Vec<[u16; 4]>> {
+    let numbers = |key: &[u8]| [0, 2, 4, 6].map(|from| number::<2>(key, from) as u16);
+    Some(find(records, KEYS)?.data.chunks_exact(8).skip(1).map(numbers).collect())
+}
+
 /// What the records tell: well-known text before keys, codes before names.
 pub(super) fn read(records: &[LasRecord]) -> Option<Crs> {
-    let find = |id| records.iter().find(|r| r.user_id.eq_ignore_ascii_case(USER) && r.id == id);
-    if let Some(record) = find(WKT) {
+    if let Some(record) = find(records, WKT) {
         let text = text(&record.data);
         if !text.trim().is_empty() {
             return Some(Crs::Wkt(text.trim().to_owned()));
         }
     }
-    let data = &find(KEYS)?.data;
-    // Four 16-bit numbers a key: the key, where its value is, how long it is, and the value or its place.
-    let keys: Vec<[u16; 4]> = data
-        .chunks_exact(8)
-        .skip(1)
-        .map(|key| [0, 2, 4, 6].map(|from| number::<2>(key, from) as u16))
-        .collect();
+    let keys = keys(records)?;
     let code = |wanted| {
         let key = keys.iter().find(|[key, place, ..]| *key == wanted && *place == 0);
         key.map(|key| key[3]).filter(|code| (1024..USER_DEFINED).contains(code)).map(u32::from)
@@ -51,7 +60,7 @@ pub(super) fn read(records: &[LasRecord]) -> Option<Crs> {
     if let Some(horizontal) = code(PROJECTED).or(code(GEOGRAPHIC).filter(|_| !is_projected)) {
         return Some(Crs::Epsg { horizontal, vertical: code(VERTICAL) });
     }
-    let texts = find(TEXTS).map(|record| record.data.as_slice()).unwrap_or_default();
+    let texts = find(records, TEXTS).map(|record| record.data.as_slice()).unwrap_or_default();
     let citation = |wanted| {
         let [_, _, length, from] = *keys.iter().find(|[key, place, ..]| *key == wanted && *place == TEXTS)?;
         let from = usize::from(from);
@@ -71,6 +80,25 @@ pub(super) fn is_wkt(crs: &Crs) -> bool {
     let Crs::Wkt(text) = crs else { return false };
     let word = text.trim_start().find(|c: char| !(c.is_ascii_uppercase() || c.is_ascii_digit() || c == '_'));
     word.is_some_and(|end| end > 2 && text.trim_start()[end..].trim_start().starts_with(['[', '(']))
+}
+
+/// The system as well-known text, where that is known, and `records` that tell it by a code tell no more.
+pub(super) fn as_text(crs: &Crs, records: &[LasRecord]) -> Crs {
+    let text = match crs {
+        Crs::Epsg { horizontal, vertical } if is_code_alone(records) => wkt::of(*horizontal, *vertical),
+        _ => None,
+    };
+    text.map_or_else(|| crs.clone(), Crs::Wkt)
+}
+
+/// Whether keys tell nothing but codes, names, and the usual units: some have heights in feet, or a datum of their own.
+fn is_code_alone(records: &[LasRecord]) -> bool {
+    let is_usual = |[key, place, _, value]: [u16; 4]| match key {
+        MODEL | RASTER | GEOGRAPHIC | PROJECTED | VERTICAL => place == 0,
+        CITATION | GEOGRAPHIC_CITATION | PROJECTED_CITATION | VERTICAL_CITATION => true,
+        _ => UNITS.contains(&(key, value)) && place == 0,
+    };
+    keys(records).unwrap_or_default().into_iter().all(is_usual)
 }
 
 /// The records that tell the system.
@@ -138,6 +166,27 @@ mod tests {
             assert_eq!(records.iter().any(is_wkt_record), text.starts_with("PROJ"), "{text}");
             assert_eq!(read(&records), Some(crs), "{text}");
         }
+    }
+
+    #[test]
+    fn a_code_is_told_in_words_where_it_is_all_there_is() {
+        let zone = Crs::Epsg { horizontal: 32_610, vertical: None };
+        let with = |more: &[[u16; 4]]| {
+            let mut records = write(&zone);
+            let numbers = more.as_flattened().iter().flat_map(|n| n.to_le_bytes());
+            records[0].data.extend(numbers);
+            assert_eq!(read(&records), Some(zone.clone()));
+            as_text(&zone, &records)
+        };
+        let text = Crs::Wkt(wkt::of(32_610, None).expect("a zone"));
+        assert_eq!(as_text(&zone, &[]), text);
+        assert_eq!(with(&[[3076, 0, 1, 9001], [4099, 0, 1, 9001], [1026, 34_737, 9, 0]]), text);
+        // Heights in feet, degrees of another prime meridian.
+        for more in [[4099, 0, 1, 9003], [2051, 0, 1, 8903], [2057, 34_736, 1, 0]] {
+            assert_eq!(with(&[more]), zone);
+        }
+        let feet = Crs::Epsg { horizontal: 2992, vertical: None };
+        assert_eq!(as_text(&feet, &write(&feet)), feet);
     }
 
     #[test]

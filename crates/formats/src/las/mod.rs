@@ -19,6 +19,7 @@ mod plan;
 mod read;
 mod records;
 mod seen;
+mod wkt;
 mod write;
 
 use std::fmt;

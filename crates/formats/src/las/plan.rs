@@ -61,9 +61,13 @@ impl Plan {
         let mut format = Format::new(las.point_format).map_err(failed)?;
         format.has_waveform = false;
         let mut records = las.records.clone();
-        if crs::read(&records) != origin.crs {
+        let crs = match seen.form {
+            Form::Indexed => origin.crs.as_ref().map(|crs| crs::as_text(crs, &records)),
+            Form::Plain | Form::Packed => origin.crs.clone(),
+        };
+        if crs::read(&records) != crs {
             records.retain(|record| !record.is_crs());
-            records.extend(origin.crs.iter().flat_map(crs::write));
+            records.extend(crs.iter().flat_map(crs::write));
         }
         records.extend(provenance(origin));
 

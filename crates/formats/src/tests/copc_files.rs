@@ -304,8 +304,36 @@ fn what_older_point_formats_have_is_kept() {
     cloud.origin.crs = Some(Crs::Epsg { horizontal: 32_610, vertical: None });
     let old = read(&file(&cloud, LAZ)).expect("a cloud");
     let copc = read(&file(&old, Format::Copc)).expect("a cloud");
-    assert_eq!(copc.origin.crs, cloud.origin.crs);
     assert!(by_number(&copc) == by_number(&old));
+}
+
+#[test]
+fn a_code_becomes_well_known_text_or_a_warning() {
+    let coded = |horizontal| Some(Crs::Epsg { horizontal, vertical: None });
+    let keys = |bytes: &[u8]| bytes.windows(24).any(|w| w == b"GeoTIFF GeoKeyDirectoryT");
+    // From LAS, whose records are kept elsewhere, and from a format without any.
+    for of_las in [true, false] {
+        let with = |horizontal| {
+            let mut cloud = cloud(1000);
+            cloud.origin.crs = coded(horizontal);
+            if of_las { read(&file(&cloud, LAZ)).expect("a cloud") } else { cloud }
+        };
+        let known = with(32_610);
+        assert!(Format::Copc.cannot_hold(&known.attributes, &known.origin).is_empty());
+        let bytes = file(&known, Format::Copc);
+        let Some(Crs::Wkt(text)) = read(&bytes).expect("a cloud").origin.crs else { panic!("no text") };
+        assert!(text.starts_with("PROJCS[\"WGS 84 / UTM zone 10N\",") && !keys(&bytes), "{text}");
+        let other = with(2992);
+        let lost = Format::Copc.cannot_hold(&other.attributes, &other.origin);
+        assert!(matches!(&lost[..], [told] if told.contains("EPSG:2992 is in GeoTIFF's keys")), "{lost:?}");
+        let bytes = file(&other, Format::Copc);
+        assert_eq!(read(&bytes).expect("a cloud").origin.crs, coded(2992));
+        assert!(keys(&bytes));
+    }
+    // LAS has a place for either.
+    let mut cloud = cloud(10);
+    cloud.origin.crs = coded(2992);
+    assert!(LAZ.cannot_hold(&cloud.attributes, &cloud.origin).is_empty());
 }
 
 #[test]
