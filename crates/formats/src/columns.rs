@@ -26,7 +26,15 @@ pub(super) enum TextColumn {
 }
 
 /// Floats hold all whole numbers up to this one.
-const EXACT: u64 = 1 << 53;
+pub(super) const EXACT: u64 = 1 << 53;
+
+/// What is told of a column of floats that had whole numbers beyond [`EXACT`].
+pub(super) fn rounded(name: &str) -> String {
+    format!(
+        "`{name}` has whole numbers beyond 2^53, and not all of it are 64-bit integers: it is read as floats, and the last \
+         digits of these are rounded"
+    )
+}
 
 impl TextColumn {
     pub(super) fn new() -> Self {

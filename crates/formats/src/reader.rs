@@ -6,7 +6,7 @@ use std::path::Path;
 
 pub use super::block::Block;
 use super::block::Within;
-use super::columns::TextColumn;
+use super::columns::{TextColumn, rounded};
 use super::first_bytes::ENOUGH;
 use super::kind::Opened;
 use super::known;
@@ -98,10 +98,7 @@ impl Ending {
         let (mut dropped_properties, mut notes) = (Vec::new(), Vec::new());
         let columns = columns.map(|(name, column)| {
             if *column == (TextColumn::Real { rounded: true }) {
-                notes.push(format!(
-                    "`{name}` has whole numbers beyond 2^53, and not all of it are 64-bit integers: it is read as floats, and \
-                     the last digits of these are rounded"
-                ));
+                notes.push(rounded(&name));
             }
             match column.kind() {
                 Some(kind) => Some(ColumnName { name, kind }),

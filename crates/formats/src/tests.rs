@@ -6,6 +6,7 @@ mod colmap_files;
 mod conversions;
 mod copc_files;
 mod dialects;
+mod e57_digits;
 mod e57_files;
 mod e57_scans;
 mod findings;

@@ -4,6 +4,7 @@ use std::ops::Range;
 
 use ::e57::{RecordDataType, RecordValue};
 
+use super::super::columns::EXACT;
 use super::STANDARD;
 use densecloud_cloud::{Attribute, Kind, Values};
 
@@ -17,6 +18,8 @@ pub(super) struct Column {
     /// The range of the whole numbers, as the file tells it.
     lowest: i64,
     highest: i64,
+    /// Whether whole numbers among floats may have lost digits.
+    pub(super) rounded: bool,
     /// How many scans have it.
     pub(super) scans: usize,
     /// The points of scans that do not have it.
@@ -52,6 +55,7 @@ impl Column {
                 numbers,
                 lowest: i64::MAX,
                 highest: i64::MIN,
+                rounded: false,
                 scans: 0,
                 absent: Vec::new(),
             });
@@ -101,21 +105,26 @@ impl Column {
                 self.highest = self.highest.max(value);
             }
             (Numbers::Single(numbers), RecordValue::Single(value)) => numbers.push(*value),
+            (Numbers::Double(numbers), RecordValue::Integer(value) | RecordValue::ScaledInteger(value)) => {
+                numbers.push(shifted);
+                self.rounded |= is_large(value);
+            }
             (Numbers::Double(numbers), _) => numbers.push(shifted),
             _ => {
-                self.numbers = Numbers::Double(self.widened());
+                self.widen();
                 self.push(value, wide, shift);
             }
         }
     }
 
-    /// The numbers as doubles, NaN where there are none.
-    fn widened(&self) -> Vec<f64> {
+    /// Makes the numbers doubles, NaN where there are none.
+    fn widen(&mut self) {
         let mut numbers: Vec<f64> = (0..self.len()).map(|i| self.get(i)).collect();
         for range in &self.absent {
             numbers[range.clone()].fill(f64::NAN);
         }
-        numbers
+        self.rounded |= matches!(&self.numbers, Numbers::Whole(whole) if whole.iter().any(is_large));
+        self.numbers = Numbers::Double(numbers);
     }
 
     pub(super) fn get(&self, i: usize) -> f64 {
@@ -166,6 +175,11 @@ impl Column {
     }
 }
 
+/// Whether a whole number may lose digits as a double.
+fn is_large(value: &i64) -> bool {
+    value.unsigned_abs() > EXACT
+}
+
 /// Sets the flags of what only some scans have at the points of the others, all columns being `points` long.
 pub(super) fn flag_absent(columns: &mut Vec<Column>, points: usize) {
     let absent: Vec<(String, Vec<Range<usize>>)> =
@@ -177,6 +191,7 @@ pub(super) fn flag_absent(columns: &mut Vec<Column>, points: usize) {
                 numbers: Numbers::Whole(vec![0; points]),
                 lowest: 0,
                 highest: 1,
+                rounded: false,
                 scans: usize::MAX,
                 absent: Vec::new(),
             });

@@ -6,6 +6,7 @@ use std::sync::Arc;
 
 use ::e57::{E57Reader, PointCloud, Record, RecordName, Transform};
 
+use super::super::columns::rounded;
 use super::super::names::Apart;
 use super::super::reader::{Block, ColumnName, Ending, Points};
 use super::super::source::Source;
@@ -48,13 +49,12 @@ impl Points for E57Points {
             return Ok(());
         }
         let cloud = read(source.stored()?, self.limits)?;
-        let (names, values) = cloud.attributes.into_iter().map(|a| (a.name, a.values)).unzip();
-        *to = Block { positions: cloud.positions, columns: values };
-        let names: Vec<String> = names;
+        let Cloud { positions, attributes, dropped_properties, notes, origin } = cloud;
+        let (names, values): (Vec<String>, _) = attributes.into_iter().map(|a| (a.name, a.values)).unzip();
+        *to = Block { positions, columns: values };
         let columns = names.into_iter().zip(&to.columns);
         let columns = columns.map(|(name, column)| Some(ColumnName { name, kind: column.kind() })).collect();
-        let (dropped_properties, origin) = (cloud.dropped_properties, cloud.origin);
-        self.ending = Some(Ending { columns, dropped_properties, notes: Vec::new(), origin });
+        self.ending = Some(Ending { columns, dropped_properties, notes, origin });
         Ok(())
     }
 
@@ -162,6 +162,9 @@ fn decode(mut file: Spool, end: Place, limits: Limits) -> Result<Cloud, FormatEr
             };
             let (name, has, all) = (&column.name, column.scans, scans.len());
             cloud.origin.comment(&format!("{name}: told by {has} of {all} scans, {fill} in the others"));
+        }
+        if column.rounded {
+            cloud.notes.push(rounded(&column.name));
         }
         if !column.is_unused_flag() {
             cloud.attributes.push(column.into_attribute());
