@@ -12,7 +12,8 @@ use crate::record::{Failure, Record, ResultFile, Time};
 use crate::records::{Lapsed, Lease};
 
 impl Store {
-    /// Starts the next job: the one whose turn is earliest, or one whose lease has run out. See [`Records::claim`].
+    /// Starts the next job: the one whose turn is earliest, or one whose lease has run out. See
+    /// [`Records::claim`](crate::Records::claim).
     ///
     /// # Errors
     /// What the storage says; no job has been started then.
@@ -21,7 +22,7 @@ impl Store {
         self.records.claim(worker, now, until)
     }
 
-    /// See [`Records::lapse`].
+    /// See [`Records::lapse`](crate::Records::lapse).
     pub(super) fn lapse(&self, time: Time, now: Time) -> Result<(), StoreError> {
         for Lapsed { id, tile, attempts, again } in self.records.lapse(time, now)? {
             tracing::warn!(job = id, tile, attempts, again, "job was interrupted");
@@ -32,7 +33,7 @@ impl Store {
         Ok(())
     }
 
-    /// See [`Records::beat`].
+    /// See [`Records::beat`](crate::Records::beat).
     ///
     /// # Errors
     /// What the database says.
@@ -40,7 +41,7 @@ impl Store {
         self.records.beat(lease, until)
     }
 
-    /// A step has failed of what is the matter with this machine; see [`Records::retry`].
+    /// A step has failed of what is the matter with this machine; see [`Records::retry`](crate::Records::retry).
     ///
     /// # Errors
     /// What the storage says.
@@ -52,7 +53,7 @@ impl Store {
         Ok(waits)
     }
 
-    /// See [`Records::put_back`].
+    /// See [`Records::put_back`](crate::Records::put_back).
     ///
     /// # Errors
     /// What the storage says.
@@ -66,7 +67,7 @@ impl Store {
         Ok(put)
     }
 
-    /// See [`Records::defer`].
+    /// See [`Records::defer`](crate::Records::defer).
     ///
     /// # Errors
     /// What the database says.
@@ -91,8 +92,8 @@ impl Store {
         own.iter().try_for_each(|blob| self.blobs.delete(&blob.name))
     }
 
-    /// The plan of a job's tiles is in the place of the lease; see [`Records::split`]. False, and the plan removed, where
-    /// the lease is not the job's any more.
+    /// The plan of a job's tiles is in the place of the lease; see [`Records::split`](crate::Records::split). False,
+    /// and the plan removed, where the lease is not the job's any more.
     ///
     /// # Errors
     /// What the storage says; the job still runs then.
@@ -110,8 +111,9 @@ impl Store {
         Ok(split)
     }
 
-    /// A tile's part is in the place of the lease, and has so many points; see [`Records::tile_done`]. False, and the part
-    /// removed, where the lease is not the tile's any more.
+    /// A tile's part is in the place of the lease, and has so many points; see
+    /// [`Records::tile_done`](crate::Records::tile_done). False, and the part removed, where the lease is not the
+    /// tile's any more.
     ///
     /// # Errors
     /// What the storage says; the tile still runs then.
@@ -124,7 +126,7 @@ impl Store {
         Ok(done)
     }
 
-    /// See [`Records::parts`].
+    /// See [`Records::parts`](crate::Records::parts).
     ///
     /// # Errors
     /// What the database says.
@@ -132,7 +134,7 @@ impl Store {
         self.records.parts(id)
     }
 
-    /// See [`Records::unsplit`].
+    /// See [`Records::unsplit`](crate::Records::unsplit).
     ///
     /// # Errors
     /// What the storage says.
