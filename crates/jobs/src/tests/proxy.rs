@@ -65,6 +65,28 @@ impl Proxy {
     }
 }
 
+/// What becomes of bytes that have come.
+enum Next {
+    Pass,
+    Drop,
+    /// Nor does anything else come through.
+    End,
+}
+
+/// A word of those who ask, and of the database where it has done so.
+fn is_commit(bytes: &[u8]) -> bool {
+    bytes.windows(7).any(|text| text == b"COMMIT\0")
+}
+
+/// What becomes of an answer: where those who ask are cut off, nobody hears it, and the connection is lost once the change
+/// is kept.
+fn answer(bytes: &[u8], deaf: &Mutex<bool>) -> Next {
+    if !*deaf.lock().expect("no panic under it") {
+        return Next::Pass;
+    }
+    if is_commit(bytes) { Next::End } else { Next::Drop }
+}
+
 /// Whoever had it may have lost it already.
 fn close(stream: &TcpStream) {
     let _ = stream.shutdown(Shutdown::Both);
@@ -90,7 +112,7 @@ impl Network {
         let (network, hears) = (Arc::clone(self), Arc::clone(&deaf));
         spawn(move || network.pass(asks, asked, |bytes| network.ask(bytes, &hears)));
         let network = Arc::clone(self);
-        spawn(move || network.pass(tells, told, |_| !*deaf.lock().expect("no panic under it")));
+        spawn(move || network.pass(tells, told, |bytes| answer(bytes, &deaf)));
     }
 
     fn server(&self) -> Option<TcpStream> {
@@ -101,12 +123,18 @@ impl Network {
     }
 
     /// Passes on what comes, as long as it may.
-    fn pass(&self, mut from: TcpStream, mut to: TcpStream, may: impl Fn(&[u8]) -> bool) {
+    fn pass(&self, mut from: TcpStream, mut to: TcpStream, what: impl Fn(&[u8]) -> Next) {
         let mut buffer = [0; 1 << 16];
         while let Ok(count) = from.read(&mut buffer) {
             drop(self.wait());
             let bytes = &buffer[..count];
-            if count == 0 || !may(bytes) || to.write_all(bytes).is_err() {
+            let goes_on = count > 0
+                && match what(bytes) {
+                    Next::Pass => to.write_all(bytes).is_ok(),
+                    Next::Drop => true,
+                    Next::End => false,
+                };
+            if !goes_on {
                 break;
             }
         }
@@ -115,18 +143,18 @@ impl Network {
     }
 
     /// Whether the database hears what it is asked.
-    fn ask(&self, bytes: &[u8], deaf: &Mutex<bool>) -> bool {
-        if !bytes.windows(7).any(|text| text == b"COMMIT\0") {
-            return true;
+    fn ask(&self, bytes: &[u8], deaf: &Mutex<bool>) -> Next {
+        if !is_commit(bytes) {
+            return Next::Pass;
         }
         let mut fault = self.fault();
         let now = *fault;
         match now {
             Fault::Before | Fault::After => *fault = Fault::None,
             Fault::AfterAll => *fault = Fault::Refused,
-            _ => return true,
+            _ => return Next::Pass,
         }
         *deaf.lock().expect("no panic under it") = now != Fault::Before;
-        now != Fault::Before
+        if now == Fault::Before { Next::End } else { Next::Pass }
     }
 }
