@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 
 use super::Folder;
-use super::lock::{LOCK, discard, locked};
+use super::lock::{discard, discard_left};
 use crate::TilesError;
 
 /// What the names of folders that are removed at the end begin with.
@@ -30,10 +30,7 @@ impl Folder {
             if !entry.file_name().to_str().is_some_and(is_left) {
                 continue;
             }
-            if let Ok(lock) = locked(&entry.path()) {
-                discard(&entry.path())?;
-                drop(lock);
-            }
+            discard_left(&entry.path())?;
         }
         Ok(())
     }
@@ -67,13 +64,7 @@ pub(super) fn remove_leftovers(parent: &Path) -> Result<(), TilesError> {
             continue;
         }
         // Others' folders that cannot be removed are not in the way.
-        if !entry.path().join(LOCK).exists() {
-            // Of a program that was killed as it made or removed it: it is empty.
-            let _ = fs::remove_dir(entry.path());
-        } else if let Ok(lock) = locked(&entry.path()) {
-            let _ = discard(&entry.path());
-            drop(lock);
-        }
+        let _ = discard_left(&entry.path());
     }
     Ok(())
 }

@@ -9,11 +9,14 @@ mod tests;
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
 use crate::TilesError;
 use leftovers::{TEMPORARY, kept_name, remove_leftovers};
 use lock::{clear, discard, locked};
+
+/// The number of the next temporary folder of this process.
+static NUMBER: AtomicU32 = AtomicU32::new(0);
 
 /// A folder for the tiles of a cloud. Clones are the same folder.
 #[derive(Debug, Clone)]
@@ -37,12 +40,12 @@ impl Folder {
         fs::create_dir_all(parent).map_err(TilesError::file(parent))?;
         remove_leftovers(parent)?;
         let own = std::process::id();
-        let mut number = 0_u32;
         loop {
+            // Counted in the process: its threads never want the same.
+            let number = NUMBER.fetch_add(1, Ordering::Relaxed);
             let name = format!("{TEMPORARY}{own}-{number}");
             // Under another name until it is locked, so that one of its name always is.
             let (path, before) = (parent.join(&name), parent.join(format!(".{name}")));
-            number += 1;
             if path.exists() {
                 continue;
             }

@@ -83,3 +83,17 @@ fn nobody_else_sees_into_a_temporary_folder() {
         assert_eq!(mode & 0o777, 0o700);
     }
 }
+
+#[test]
+fn programs_that_begin_at_once_do_not_take_each_others_folders_for_leftovers() {
+    let parent = tempfile::tempdir().expect("a folder");
+    let begin = || {
+        for _ in 0..400 {
+            let folder = Folder::temporary(parent.path()).expect("a folder of its own");
+            std::fs::write(folder.path().join("mine"), "mine").expect("it is there");
+            assert!(folder.path().join("lock").exists());
+        }
+    };
+    std::thread::scope(|scope| (0..4).for_each(|_| drop(scope.spawn(begin))));
+    assert_eq!(std::fs::read_dir(parent.path()).expect("a folder").count(), 0, "something is left");
+}
