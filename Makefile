@@ -2,8 +2,9 @@
 
 PROGRAM = $(or $(CARGO_TARGET_DIR),target)/release/densecloud
 OUT = out/demo
+PYTHON_CODE = training tests/interop tests/python tests/ray tests/cluster deploy/ray benches crates/python/python examples
 
-.PHONY: demo cluster-demo test test-rust test-python test-web lint docs build onnxruntime venv clean
+.PHONY: demo cluster-demo test test-rust test-python test-web lint docs build wheel test-wheel onnxruntime venv clean
 
 demo: build
 	mkdir -p $(OUT)
@@ -28,8 +29,8 @@ test-web: venv
 lint: venv
 	cargo fmt --check
 	cargo clippy --workspace --all-targets -- -D warnings
-	.venv/bin/python -m ruff check training tests/interop tests/ray tests/cluster deploy/ray benches
-	.venv/bin/python -m ruff format --check training tests/interop tests/ray tests/cluster deploy/ray benches
+	.venv/bin/python -m ruff check $(PYTHON_CODE)
+	.venv/bin/python -m ruff format --check $(PYTHON_CODE)
 
 # A fleet on this machine: Postgres, an S3, a server and three workers, one of which is killed on the way.
 cluster-demo: build venv
@@ -41,6 +42,13 @@ docs:
 build: onnxruntime
 	cargo build --release --package densecloud-cli
 
+# Python's package, to hand out: out/wheels.
+wheel:
+	sh scripts/build-wheel.sh
+
+test-wheel:
+	sh tests/python/run.sh
+
 onnxruntime:
 	sh scripts/fetch-onnxruntime.sh
 
@@ -49,4 +57,4 @@ venv:
 
 clean:
 	cargo clean
-	rm -rf out .venv .venv-interop .venv-ray vendor
+	rm -rf out .venv .venv-interop .venv-maturin .venv-ray .venv-wheel vendor

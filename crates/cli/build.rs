@@ -9,6 +9,10 @@ use std::process::Command;
 const NAME: &str = "libonnxruntime.so";
 
 fn main() {
+    if std::env::var_os("CARGO_FEATURE_PROGRAM").is_none() {
+        println!("cargo::rerun-if-changed=build.rs");
+        return;
+    }
     let root = Path::new("../..");
     let vendor = root.join("vendor/onnxruntime");
     let script = root.join("scripts/fetch-onnxruntime.sh");

@@ -7,7 +7,7 @@ mod model;
 mod onnx;
 mod operators;
 
-pub use library::log_errors_to;
+pub use library::{library_lies_at, log_errors_to};
 pub use model::{Card, Model, ModelName, UnitFile};
 pub use onnx::OnnxBackend;
 

@@ -23,15 +23,25 @@ pub fn log_errors_to(log: fn(&str)) {
     let _ = LOG.set(log);
 }
 
+/// What a host that has the library in a place of its own says.
+static PLACE: OnceLock<Result<PathBuf, String>> = OnceLock::new();
+
+/// Says where the library lies, where `ORT_DYLIB_PATH` does not: its path, or why there is none and what to do about it, which is the
+/// error then. To be called once, before the first [`OnnxBackend`](crate::OnnxBackend); later calls change nothing.
+pub fn library_lies_at(place: Result<PathBuf, String>) {
+    // The first stays.
+    let _ = PLACE.set(place);
+}
+
 /// Loads the library at the first call; later calls give the same answer.
 ///
-/// Looks at `ORT_DYLIB_PATH`, then next to the program, then where the system's loader looks.
+/// Looks at `ORT_DYLIB_PATH`, then where the host says, then next to the program, then where the system's loader looks.
 pub(super) fn environment() -> Result<Environment, BackendError> {
     ENVIRONMENT.get_or_init(load).clone()
 }
 
 fn load() -> Result<Environment, BackendError> {
-    let path = find();
+    let path = find().map_err(|why| BackendError::Library { why })?;
     let fail = |why: String| BackendError::Library { why: format!("{}: {why}", path.display()) };
     let mut builder =
         ort::init_from(&path).map_err(|e| fail(e.to_string()))?.with_name("densecloud").with_telemetry(false);
@@ -52,12 +62,15 @@ fn load() -> Result<Environment, BackendError> {
     Ok(environment)
 }
 
-fn find() -> PathBuf {
+fn find() -> Result<PathBuf, String> {
     // Set and wrong is an error to report, not a reason to take another library.
     if let Some(path) = std::env::var_os("ORT_DYLIB_PATH").filter(|path| !path.is_empty()) {
-        return path.into();
+        return Ok(path.into());
+    }
+    if let Some(place) = PLACE.get() {
+        return place.clone();
     }
     let name = format!("{DLL_PREFIX}onnxruntime{DLL_SUFFIX}");
     let beside_program = std::env::current_exe().ok().and_then(|exe| Some(exe.parent()?.join(&name)));
-    beside_program.filter(|path| path.exists()).unwrap_or_else(|| name.into())
+    Ok(beside_program.filter(|path| path.exists()).unwrap_or_else(|| name.into()))
 }

@@ -1,7 +1,6 @@
-//! The `densecloud` program: [`commands`] has one file a command.
+//! The `densecloud` program: the library's commands, and the allocator.
 
-mod commands;
-mod evaluate;
+use std::process::ExitCode;
 
 /// Gives back what large requests took; the system's allocator keeps it, in pieces too small for the next one. It serves
 /// ONNX Runtime and SQLite, too: the crate's `unprefixed_malloc_on_supported_platforms` makes it the process's `malloc`.
@@ -10,6 +9,6 @@ mod evaluate;
 #[global_allocator]
 static ALLOCATOR: tikv_jemallocator::Jemalloc = tikv_jemallocator::Jemalloc;
 
-fn main() -> std::process::ExitCode {
-    commands::main()
+fn main() -> ExitCode {
+    ExitCode::from(densecloud_cli::run(std::env::args_os()))
 }

@@ -16,7 +16,8 @@ pub(super) fn is_stream(path: &Path) -> bool {
 }
 
 /// The path with `suffix` after its name.
-pub(super) fn beside(path: &Path, suffix: &str) -> PathBuf {
+#[must_use]
+pub fn beside(path: &Path, suffix: &str) -> PathBuf {
     let mut name = path.as_os_str().to_owned();
     name.push(suffix);
     name.into()
@@ -130,32 +131,66 @@ pub(super) fn is_kept(path: &Path) -> bool {
     matches!(Output::of(path), Ok(Output::File(_) | Output::Object(..)))
 }
 
-/// Writes an output with `encode`, `-` to standard output. A file is made beside its name and renamed, so that no
-/// failure leaves half a file under that name, and an object is there when all of it is; a device or a named pipe is written to
-/// as it is.
+/// Writes an output with `encode`, `-` to standard output. A file is as [`write_file`] makes it, and an object is there when all of
+/// it is.
 pub(super) fn write(
     path: &Path,
     encode: impl FnOnce(&mut (dyn Write + Send)) -> Result<(), Box<dyn std::error::Error>>,
 ) -> Result<(), CliError> {
-    let unmade = |why: io::Error| CliError::file(path, why);
-    let through = |sink: &mut (dyn Write + Send)| {
-        let mut sink = BufWriter::with_capacity(1 << 20, sink);
-        encode(&mut sink).and_then(|()| Ok(sink.flush()?)).map_err(|why| CliError::file(path, why))
-    };
-    let target = match Output::of(path)? {
-        Output::Stdout => return through(&mut io::stdout()),
-        Output::Device => return through(&mut File::options().write(true).open(path).map_err(unmade)?),
+    let failed = |why: Box<dyn std::error::Error>| CliError::file(path, why);
+    match Output::of(path)? {
+        Output::Stdout => through(&mut io::stdout(), encode).map_err(failed),
         Output::Object(objects, name) => {
+            let unmade = |why: io::Error| CliError::file(path, why);
             let mut object = objects.create(&name).map_err(unmade)?;
-            return through(&mut object).and_then(|()| object.finish().map_err(unmade));
+            through(&mut object, encode).map_err(failed)?;
+            object.finish().map_err(unmade)
         }
-        Output::File(target) => target,
-    };
-    let part = beside(&target, ".part");
-    let mut file = File::create(&part).map_err(unmade)?;
-    let written = through(&mut file).and_then(|()| fs::rename(&part, &target).map_err(unmade));
+        Output::Device => to_device(path, encode).map_err(failed),
+        Output::File(target) => to_file(&target, encode).map_err(failed),
+    }
+}
+
+/// Writes a file with `encode`. It is made beside its name and renamed, so that no failure leaves half a file under that name; a device
+/// or a named pipe is written to as it is. Links are followed.
+///
+/// # Errors
+/// That of `encode`, or the system's.
+pub fn write_file<E: From<io::Error>>(
+    path: &Path,
+    encode: impl FnOnce(&mut (dyn Write + Send)) -> Result<(), E>,
+) -> Result<(), E> {
+    match Output::of_path(path)? {
+        Output::File(target) => to_file(&target, encode),
+        _ => to_device(path, encode),
+    }
+}
+
+fn to_device<E: From<io::Error>>(
+    path: &Path,
+    encode: impl FnOnce(&mut (dyn Write + Send)) -> Result<(), E>,
+) -> Result<(), E> {
+    through(&mut File::options().write(true).open(path)?, encode)
+}
+
+fn to_file<E: From<io::Error>>(
+    target: &Path,
+    encode: impl FnOnce(&mut (dyn Write + Send)) -> Result<(), E>,
+) -> Result<(), E> {
+    let part = beside(target, ".part");
+    let mut file = File::create(&part)?;
+    let written = through(&mut file, encode).and_then(|()| Ok(fs::rename(&part, target)?));
     // The first error is the one to report.
     written.inspect_err(|_| drop(fs::remove_file(&part)))
+}
+
+fn through<E: From<io::Error>>(
+    sink: &mut (dyn Write + Send),
+    encode: impl FnOnce(&mut (dyn Write + Send)) -> Result<(), E>,
+) -> Result<(), E> {
+    let mut sink = BufWriter::with_capacity(1 << 20, sink);
+    encode(&mut sink)?;
+    Ok(sink.flush()?)
 }
 
 #[cfg(test)]

@@ -1,6 +1,6 @@
 //! `densecloud inspect`: what a cloud is like, and what upsampling it would take. No model.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
 use serde_json::{Value, json};
@@ -12,7 +12,7 @@ use densecloud::attributes::{Plan, Rule, Rules};
 use densecloud::provenance;
 use densecloud::survey::{SAMPLE, Spread, Survey, strays};
 use densecloud_cascade::Target;
-use densecloud_cloud::{Cloud, Kind};
+use densecloud_cloud::{Cloud, FrameError, Kind, Position};
 use densecloud_formats::Format;
 
 /// Tell what a cloud is like, and what upsampling it would take.
@@ -52,44 +52,31 @@ pub(super) fn run(args: &InspectArgs) -> Result<(), CliError> {
     Target::Ratio(args.ratio).points_out(1).map_err(|e| CliError::Usage(e.to_string()))?;
     let reading = args.reading.reading()?;
     let (cloud, header) = files::read_cloud(&args.input, &reading)?;
-    let survey = Survey::of(&cloud.positions, args.sample).map_err(|e| CliError::file(&args.input, e))?;
-    let mut made: Vec<String> = provenance::of(&cloud.origin).map(str::to_owned).collect();
-    if let Ok(beside) = std::fs::read_to_string(files::beside(&args.input, PROVENANCE)) {
-        made.extend(beside.lines().filter_map(|line| line.strip_prefix(provenance::MARK)).map(str::to_owned));
+    let inspection = Inspection::of(&cloud, header.format, args.sample);
+    let mut inspection = inspection.map_err(|e| CliError::file(&args.input, e))?.made_of_file(&args.input);
+    inspection.ratio = args.ratio;
+    if let Some(path) = &args.source {
+        let (source, _) = files::read_cloud(path, &reading)?;
+        inspection = inspection.against(&source.positions).map_err(|e| CliError::file(path, e))?;
     }
-    let strays = match &args.source {
-        Some(path) => {
-            let (source, _) = files::read_cloud(path, &reading)?;
-            let share = strays(&source.positions, &cloud.positions, FAR);
-            Some(share.map_err(|e| CliError::file(path, e))?)
-        }
-        None => None,
-    };
-    let plan = Plan::of(&cloud.attributes, &Rules::default());
-    let inspection = Inspection {
-        cloud: &cloud,
-        format: header.format,
-        survey: &survey,
-        plan,
-        strays,
-        made,
-        ratio: args.ratio,
-    };
     let text = if args.json { format!("{:#}\n", inspection.json()) } else { inspection.text() };
     files::print(&text)
 }
 
-struct Inspection<'a> {
+/// What a cloud is like, and what upsampling it would take.
+#[derive(Debug)]
+pub struct Inspection<'a> {
     cloud: &'a Cloud,
     format: Format,
-    survey: &'a Survey,
+    survey: Survey,
     /// What would become of its attributes.
     plan: Plan,
     /// Share of points further than [`FAR`] from the source.
     strays: Option<f64>,
     /// Provenance, a line each time that the cloud was upsampled.
     made: Vec<String>,
-    ratio: f64,
+    /// Points out for each point in, for the cost; 4 where nobody says.
+    pub ratio: f64,
 }
 
 /// Seconds on one thread for a point out, all levels together (BENCHMARKS.md).
@@ -101,6 +88,38 @@ const BYTES: f64 = 5e7;
 
 /// Spacings of the source from which a point counts as far from it.
 const FAR: f64 = 3.0;
+
+impl<'a> Inspection<'a> {
+    /// Measures a cloud that came in a format, on a sample of so many points. O(n).
+    ///
+    /// # Errors
+    /// No point is finite.
+    pub fn of(cloud: &'a Cloud, format: Format, sample: usize) -> Result<Self, FrameError> {
+        let survey = Survey::of(&cloud.positions, sample)?;
+        let plan = Plan::of(&cloud.attributes, &Rules::default());
+        let made = provenance::of(&cloud.origin).map(str::to_owned).collect();
+        Ok(Self { cloud, format, survey, plan, strays: None, made, ratio: 4.0 })
+    }
+
+    /// Adds the provenance that lies beside a file whose format has no place for it.
+    #[must_use]
+    pub fn made_of_file(mut self, file: &Path) -> Self {
+        if let Ok(beside) = std::fs::read_to_string(files::beside(file, PROVENANCE)) {
+            let lines = beside.lines().filter_map(|line| line.strip_prefix(provenance::MARK));
+            self.made.extend(lines.map(str::to_owned));
+        }
+        self
+    }
+
+    /// Measures how much of it lies far from the cloud that it was made of. O(n log m).
+    ///
+    /// # Errors
+    /// The source has no finite point, or no extent.
+    pub fn against(self, source: &[Position]) -> Result<Self, FrameError> {
+        let share = strays(source, &self.cloud.positions, FAR)?;
+        Ok(Self { strays: Some(share), ..self })
+    }
+}
 
 impl Inspection<'_> {
     /// Names, types, and the rules by which new points would come by them.
@@ -121,7 +140,7 @@ impl Inspection<'_> {
     }
 
     fn text(&self) -> String {
-        let s = self.survey;
+        let s = &self.survey;
         let mut lines: Vec<(&str, String)> = Vec::new();
         lines.push(("format", self.format.to_string()));
         let mut points = format!("{}", s.finite);
@@ -180,7 +199,7 @@ impl Inspection<'_> {
         range: impl Fn(Spread) -> String,
         percent: impl Fn(f64) -> String,
     ) -> Vec<(&'static str, String)> {
-        let s = self.survey;
+        let s = &self.survey;
         let mut lines = vec![("spacing", range(s.spacing))];
         lines.push(("density", format!("{} a square unit", range(s.density))));
         lines.push(("surface", format!("about {} square units", short(s.area))));
@@ -199,8 +218,10 @@ impl Inspection<'_> {
         lines
     }
 
-    fn json(&self) -> Value {
-        let s = self.survey;
+    /// All of it as one object: lengths in the cloud's units, shares from 0 to 1.
+    #[must_use]
+    pub fn json(&self) -> Value {
+        let s = &self.survey;
         // Nothing is not zero.
         let known = |x: f64| if s.measured > 0 { json!(x) } else { Value::Null };
         let spread =

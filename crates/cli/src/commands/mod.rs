@@ -33,14 +33,20 @@ mod view;
 mod worker;
 
 pub(crate) use error::CliError;
+pub use files::{beside, write_file};
+pub use inspect::Inspection;
+pub use memory::available as available_memory;
+pub use upsample::PROVENANCE;
 
 use std::ffi::OsString;
 use std::io::{self, Write};
-use std::process::ExitCode;
 
 use clap::{ArgMatches, CommandFactory, FromArgMatches, Parser, Subcommand};
 use densecloud_server::Role;
 use settings::Refused;
+
+/// The exit code of what went well.
+const DONE: u8 = 0;
 
 /// Turns a sparse, noisy 3D point cloud into a dense one.
 #[derive(Debug, Parser)]
@@ -71,14 +77,23 @@ enum Command {
     View(view::ViewArgs),
 }
 
-/// Parses the arguments, runs the command, and says how it went.
-pub(crate) fn main() -> ExitCode {
-    let typed: Vec<OsString> = std::env::args_os().collect();
-    let (arguments, matches) = match parse(&typed) {
+/// Parses the arguments, the program's name first, runs the command, says how it went, and gives the exit code.
+///
+/// Work is done on rayon's global pool, whose threads it sets, and signals are left as they are but by a server: to be called
+/// once a process.
+pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
+    let code = code_of(&arguments.into_iter().collect::<Vec<_>>());
+    // Nobody else does where a program of another language has called.
+    let _ = io::stdout().flush();
+    code
+}
+
+fn code_of(typed: &[OsString]) -> u8 {
+    let (arguments, matches) = match parse(typed) {
         Ok(parsed) => parsed,
-        Err(refused) if refused.is_failure() && settings::logs_json(&typed) => {
+        Err(refused) if refused.is_failure() && settings::logs_json(typed) => {
             log::failed_in_json(&refused.to_string(), io::stderr);
-            return ExitCode::from(CliError::USAGE);
+            return CliError::USAGE;
         }
         Err(Refused::Arguments(error, file)) => {
             // Help and version go to stdout and are no failure; a closed pipe is nobody's concern.
@@ -86,7 +101,7 @@ pub(crate) fn main() -> ExitCode {
             if let Some(file) = file.filter(|_| error.use_stderr()) {
                 let _ = writeln!(io::stderr(), "Some of these are in {}.", file.display());
             }
-            return if error.use_stderr() { ExitCode::from(CliError::USAGE) } else { ExitCode::SUCCESS };
+            return if error.use_stderr() { CliError::USAGE } else { DONE };
         }
         Err(Refused::File(error)) => return failed(&error),
     };
@@ -95,10 +110,10 @@ pub(crate) fn main() -> ExitCode {
         Command::Worker(worker) if !worker.args.prints_settings() => {
             return serve::run(&worker.args, Role::Worker);
         }
-        command => run(command, &matches),
+        command => done_by(command, &matches),
     };
     match done {
-        Ok(()) => ExitCode::SUCCESS,
+        Ok(()) => DONE,
         Err(error) => failed(&error),
     }
 }
@@ -110,9 +125,9 @@ fn parse(typed: &[OsString]) -> Result<(Arguments, ArgMatches), Refused> {
     Ok((arguments, matches))
 }
 
-fn failed(error: &CliError) -> ExitCode {
+fn failed(error: &CliError) -> u8 {
     note(&error.to_string());
-    ExitCode::from(error.exit_code())
+    error.exit_code()
 }
 
 /// Says something on standard error. Where nobody can be told, the work goes on.
@@ -127,7 +142,7 @@ fn warn(warnings: &[String], quiet: bool) {
     }
 }
 
-fn run(command: Command, matches: &ArgMatches) -> Result<(), CliError> {
+fn done_by(command: Command, matches: &ArgMatches) -> Result<(), CliError> {
     match command {
         Command::Inspect(args) => inspect::run(&args),
         Command::Render(args) => render::run(&args),

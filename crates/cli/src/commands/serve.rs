@@ -1,7 +1,6 @@
 //! `densecloud serve`: the server, from its first line in the log to its end.
 
 use std::io::{self, IsTerminal};
-use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
@@ -47,16 +46,16 @@ fn raise_descriptors(connections: usize) {
 }
 
 /// Serves until it is told to end; says why, where it does not or ends by itself.
-pub(super) fn run(args: &ServeArgs, role: Role) -> ExitCode {
+pub(super) fn run(args: &ServeArgs, role: Role) -> u8 {
     let log = match Log::start() {
         Ok(log) => log,
         Err(error) => return super::failed(&CliError::Failed(format!("cannot start the log: {error}"))),
     };
     let code = match begin(args, role, &log) {
-        Ok(()) => ExitCode::SUCCESS,
+        Ok(()) => super::DONE,
         Err(error) => {
             tell(&error, args.log_format, &log);
-            ExitCode::from(error.exit_code())
+            error.exit_code()
         }
     };
     OVER.store(true, Ordering::Relaxed);

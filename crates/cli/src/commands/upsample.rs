@@ -61,7 +61,7 @@ pub(super) struct UpsampleArgs {
 }
 
 /// What is added to the name of a result whose format has no place for comments.
-pub(super) const PROVENANCE: &str = ".provenance.txt";
+pub const PROVENANCE: &str = ".provenance.txt";
 
 pub(super) fn run(args: &UpsampleArgs) -> Result<(), CliError> {
     places::check(&[&args.input, &args.output])?;

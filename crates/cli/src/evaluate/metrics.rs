@@ -9,57 +9,57 @@ use densecloud_cloud::{Frame, FrameError, Position};
 use densecloud_geometry::SurfaceDistance;
 
 /// Default tolerance of the F-score, in radii of the reference.
-pub(crate) const DEFAULT_TOLERANCE: f64 = 0.01;
+pub const DEFAULT_TOLERANCE: f64 = 0.01;
 
 /// Both blocks of scores of one cloud. Raw values: tables print them times 1000.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub(crate) struct Scores {
+pub struct Scores {
     /// As in the field's tables.
-    pub(crate) published: Published,
+    pub published: Published,
     /// The block that cannot be gamed.
-    pub(crate) corrected: Corrected,
+    pub corrected: Corrected,
 }
 
 /// The scores of the evaluator that the field's tables come from. Each cloud is first centred and
 /// scaled by **its own** centroid and largest distance to it.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub(crate) struct Published {
+pub struct Published {
     /// CD: mean squared nearest distance, prediction to reference plus reference to prediction.
-    pub(crate) chamfer: f64,
+    pub chamfer: f64,
     /// HD: largest squared nearest distance, prediction to reference plus reference to prediction.
-    pub(crate) hausdorff: f64,
+    pub hausdorff: f64,
     /// P2F: mean distance (not squared) of predicted points to the mesh, in the mesh's own units.
     /// None without a mesh.
-    pub(crate) point_to_face: Option<f64>,
+    pub point_to_face: Option<f64>,
 }
 
 /// Scores with one normalisation: the reference's centroid and largest distance, for both clouds and
 /// the mesh. All lengths are in that radius, and not squared unless said.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub(crate) struct Corrected {
+pub struct Corrected {
     /// Mean *squared* nearest distance, the sum of both ways.
-    pub(crate) chamfer: f64,
+    pub chamfer: f64,
     /// The Hausdorff distance: the largest nearest distance, either way.
-    pub(crate) hausdorff: f64,
+    pub hausdorff: f64,
     /// The larger of both ways' 95th percentiles of nearest distances.
-    pub(crate) hausdorff_95: f64,
+    pub hausdorff_95: f64,
     /// Mean distance from predicted points to the mesh. None without a mesh.
-    pub(crate) to_surface: Option<f64>,
+    pub to_surface: Option<f64>,
     /// Mean distance from the surface to the nearest predicted point. The reference stands for the
     /// surface, so it has to be dense.
-    pub(crate) from_surface: f64,
+    pub from_surface: f64,
     /// F-score at the tolerance: the harmonic mean of the share of predicted points within it of the
     /// reference, and of reference points within it of the prediction.
-    pub(crate) f_score: f64,
+    pub f_score: f64,
     /// Standard deviation over mean of the distance from each predicted point to its nearest other
     /// one: 0 on a lattice, 0.52 for random points on a plane. Infinite (in JSON: null) when every
     /// point has a duplicate, the limit of ever fewer points that have none; 0 would praise repetition.
-    pub(crate) spacing_variation: f64,
+    pub spacing_variation: f64,
 }
 
 /// Why a cloud cannot be scored.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
-pub(crate) enum MetricError {
+pub enum MetricError {
     /// The predicted cloud has no extent.
     #[error("the prediction: {0}")]
     Prediction(FrameError),
@@ -79,14 +79,14 @@ pub(crate) enum MetricError {
 /// A cloud is empty, not finite or a single spot, or the tolerance is not above zero.
 ///
 /// ```
-/// use densecloud::evaluate::{DEFAULT_TOLERANCE, score};
+/// use densecloud_cli::{DEFAULT_TOLERANCE, score};
 ///
 /// let square = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [1.0, 1.0, 0.0]];
 /// let same = score(&square, &square, None, DEFAULT_TOLERANCE)?;
 /// assert_eq!((same.published.chamfer, same.corrected.f_score), (0.0, 1.0));
-/// # Ok::<(), densecloud::evaluate::MetricError>(())
+/// # Ok::<(), densecloud_cli::MetricError>(())
 /// ```
-pub(crate) fn score(
+pub fn score(
     prediction: &[Position],
     reference: &[Position],
     surface: Option<&SurfaceDistance>,

@@ -21,5 +21,5 @@ mod sphere;
 mod table;
 
 pub(crate) use files::{FileKind, FileSet, SetError};
-pub(crate) use metrics::{DEFAULT_TOLERANCE, score};
+pub use metrics::{Corrected, DEFAULT_TOLERANCE, MetricError, Published, Scores, score};
 pub(crate) use report::{CascadeSettings, Method, Report, Row, Settings};

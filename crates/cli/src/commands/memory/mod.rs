@@ -37,7 +37,7 @@ pub(super) fn parse(text: &str) -> Result<Memory, String> {
 
 /// Bytes that the program may still take: what the system has, or, where that is less, what its control
 /// groups leave; none where neither tells.
-pub(super) fn available() -> Option<u64> {
+pub fn available() -> Option<u64> {
     let system = fs::read_to_string("/proc/meminfo").ok().and_then(|text| meminfo(&text));
     [system, groups::left(Path::new("/"))].into_iter().flatten().min()
 }
