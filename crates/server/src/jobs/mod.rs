@@ -32,7 +32,9 @@ use crate::jobs::document::Document;
 use crate::jobs::intake::new_job;
 use crate::problem::{Problem, SOON};
 use densecloud_engine::{Client, Cost};
-use densecloud_jobs::{Admitted, Deleted, Draft, Jobs, Load, NewJob, Record, StoreError, Submitted};
+use densecloud_jobs::{
+    Admitted, BlobReader, Deleted, Draft, Jobs, Load, NewJob, Record, ResultFile, StoreError, Submitted,
+};
 
 impl App {
     pub(crate) fn jobs(&self) -> Result<&Arc<Jobs>, Problem> {
@@ -83,6 +85,24 @@ async fn blocking<T: Send + 'static>(
         work(&app)
     });
     done.await.map_err(|error| Problem::Internal(error.to_string()))?
+}
+
+/// A job's result, for whoever may see the job.
+///
+/// # Errors
+/// [`Problem::NoJob`], [`Problem::JobNotDone`], or that of [`ask`].
+pub(crate) async fn finished(
+    app: &Arc<App>,
+    client: &Client,
+    id: String,
+) -> Result<(ResultFile, Box<dyn BlobReader>), Problem> {
+    let (shared, client) = (Arc::clone(app), client.clone());
+    let found = move |jobs: &Arc<Jobs>| {
+        let found = jobs.store().result(&id)?.filter(|(job, _)| is_seen(&shared, &client, job));
+        let (job, result) = found.ok_or(Problem::NoJob(id))?;
+        result.ok_or(Problem::JobNotDone { state: job.state.name() })
+    };
+    ask(app, found).await
 }
 
 /// `POST /jobs`: as `POST /upsample` until the cloud is read, then 202 instead of the result. What

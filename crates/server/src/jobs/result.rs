@@ -16,7 +16,7 @@ use crate::app::App;
 use crate::connection::compress::{AsIs, Compression};
 use crate::connection::fields::{has_tag, joined, part};
 use crate::jobs::document::about;
-use crate::jobs::{JobId, ask, is_seen};
+use crate::jobs::{JobId, finished};
 use crate::problem::Problem;
 use densecloud_engine::Client;
 use densecloud_jobs::BlobReader;
@@ -34,13 +34,7 @@ pub(crate) async fn result(
     method: Method,
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
-    let shared = Arc::clone(&app);
-    let (result, mut file) = ask(&app, move |jobs| {
-        let found = jobs.store().result(&id)?.filter(|(job, _)| is_seen(&shared, &client, job));
-        let (job, result) = found.ok_or(Problem::NoJob(id))?;
-        result.ok_or(Problem::JobNotDone { state: job.state.name() })
-    })
-    .await?;
+    let (result, mut file) = finished(&app, &client, id).await?;
     let about = about(&result)?;
     // Parts are parts of the file as it is. What is compressed is sent whole, under a tag of its own.
     let range = headers.get(header::RANGE).filter(|_| method == Method::GET);

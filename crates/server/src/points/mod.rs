@@ -27,7 +27,7 @@ use self::asked::{As, Asked};
 use crate::admission::deadline::Deadline;
 use crate::app::App;
 use crate::http::upload::Upload;
-use crate::jobs::{JobId, ask, is_seen};
+use crate::jobs::{JobId, finished};
 use crate::problem::Problem;
 use densecloud_engine::Client;
 use densecloud_formats::{CloudReader, Header, Limits};
@@ -78,13 +78,7 @@ pub(crate) async fn of_job(
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
     let asked = Asked::of(&uri, &headers)?;
-    let (shared, owner) = (Arc::clone(&app), client.clone());
-    let (result, file) = ask(&app, move |jobs| {
-        let found = jobs.store().result(&id)?.filter(|(job, _)| is_seen(&shared, &owner, job));
-        let (job, result) = found.ok_or(Problem::NoJob(id))?;
-        result.ok_or(Problem::JobNotDone { state: job.state.name() })
-    })
-    .await?;
+    let (result, file) = finished(&app, &client, id).await?;
     // Some formats are copied there to be sought in.
     let copy = app.disk.hold(result.bytes).ok_or_else(|| app.disk_full())?;
     let deadline = Deadline::of(&headers, app.config.timeouts.request)?;
