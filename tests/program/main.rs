@@ -12,6 +12,7 @@ mod meanings;
 mod outputs;
 mod regions;
 mod remote;
+mod report;
 mod results;
 mod settings;
 mod signals;

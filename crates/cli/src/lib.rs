@@ -3,6 +3,7 @@
 
 mod commands;
 mod evaluate;
+mod report;
 
 pub use commands::{Inspection, PROVENANCE, available_memory, beside, run, write_file};
 pub use evaluate::{Corrected, DEFAULT_TOLERANCE, MetricError, Published, Scores, score};

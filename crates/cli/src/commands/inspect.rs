@@ -10,7 +10,7 @@ use super::upsample::PROVENANCE;
 use super::{CliError, files};
 use densecloud::attributes::{Plan, Rule, Rules};
 use densecloud::provenance;
-use densecloud::survey::{SAMPLE, Spread, Survey, strays};
+use densecloud::survey::{Place, SAMPLE, Spread, Survey, strays};
 use densecloud_cascade::Target;
 use densecloud_cloud::{Cloud, FrameError, Kind, Position};
 use densecloud_formats::Format;
@@ -69,6 +69,8 @@ pub struct Inspection<'a> {
     cloud: &'a Cloud,
     format: Format,
     survey: Survey,
+    /// Where it was measured.
+    places: Vec<Place>,
     /// What would become of its attributes.
     plan: Plan,
     /// Share of points further than [`FAR`] from the source.
@@ -95,10 +97,10 @@ impl<'a> Inspection<'a> {
     /// # Errors
     /// No point is finite.
     pub fn of(cloud: &'a Cloud, format: Format, sample: usize) -> Result<Self, FrameError> {
-        let survey = Survey::of(&cloud.positions, sample)?;
+        let (survey, places) = Survey::with_places(&cloud.positions, sample)?;
         let plan = Plan::of(&cloud.attributes, &Rules::default());
         let made = provenance::of(&cloud.origin).map(str::to_owned).collect();
-        Ok(Self { cloud, format, survey, plan, strays: None, made, ratio: 4.0 })
+        Ok(Self { cloud, format, survey, places, plan, strays: None, made, ratio: 4.0 })
     }
 
     /// Adds the provenance that lies beside a file whose format has no place for it.
@@ -122,6 +124,16 @@ impl<'a> Inspection<'a> {
 }
 
 impl Inspection<'_> {
+    /// What was measured.
+    pub(crate) fn survey(&self) -> &Survey {
+        &self.survey
+    }
+
+    /// Where, and what the cloud is like there.
+    pub(crate) fn places(&self) -> &[Place] {
+        &self.places
+    }
+
     /// Names, types, and the rules by which new points would come by them.
     fn attributes(&self) -> impl Iterator<Item = (&str, &'static str, Rule)> {
         let attributes = self.cloud.attributes.iter().zip(self.plan.rules());
@@ -132,7 +144,8 @@ impl Inspection<'_> {
         Target::Ratio(self.ratio).points_out(self.survey.finite as u64).unwrap_or_default()
     }
 
-    fn warnings(&self) -> Vec<String> {
+    /// What a person should know before upsampling it, a sentence each.
+    pub(crate) fn warnings(&self) -> Vec<String> {
         let mut warnings = self.cloud.warnings();
         warnings.extend(self.survey.warnings(self.format.scalar()));
         warnings.extend_from_slice(self.plan.warnings());
@@ -271,7 +284,7 @@ impl Inspection<'_> {
 }
 
 /// Three digits, whatever the size.
-fn short(value: f64) -> String {
+pub(crate) fn short(value: f64) -> String {
     if value == 0.0 || !value.is_finite() {
         return format!("{value}");
     }

@@ -17,6 +17,7 @@ mod options;
 mod places;
 mod remote;
 mod render;
+mod report;
 mod sample;
 mod serve;
 mod serve_args;
@@ -35,6 +36,7 @@ mod worker;
 pub(crate) use error::CliError;
 pub use files::{beside, write_file};
 pub use inspect::Inspection;
+pub(crate) use inspect::short;
 pub use memory::available as available_memory;
 pub use upsample::PROVENANCE;
 
@@ -74,6 +76,7 @@ enum Command {
     Evaluate(evaluate::EvaluateArgs),
     Sample(sample::SampleArgs),
     Render(render::RenderArgs),
+    Report(report::ReportArgs),
     View(view::ViewArgs),
 }
 
@@ -146,6 +149,7 @@ fn done_by(command: Command, matches: &ArgMatches) -> Result<(), CliError> {
     match command {
         Command::Inspect(args) => inspect::run(&args),
         Command::Render(args) => render::run(&args),
+        Command::Report(args) => report::run(&args),
         Command::View(args) => view::run(&args),
         Command::Sample(args) => sample::run(&args),
         Command::Upsample(args) => upsample::run(&args),

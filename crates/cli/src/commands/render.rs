@@ -73,10 +73,20 @@ enum ShadeName {
 }
 
 #[derive(Debug, Clone, Copy, ValueEnum)]
-enum AxisName {
+pub(super) enum AxisName {
     X,
     Y,
     Z,
+}
+
+impl AxisName {
+    pub(super) fn axis(self) -> Axis {
+        match self {
+            Self::X => Axis::X,
+            Self::Y => Axis::Y,
+            Self::Z => Axis::Z,
+        }
+    }
 }
 
 pub(super) fn run(args: &RenderArgs) -> Result<(), CliError> {
@@ -113,15 +123,7 @@ fn settings(args: &RenderArgs) -> picture::Settings {
             ShadeName::Density => Shade::Density,
             ShadeName::Colour => Shade::Colour,
         },
-        view: View {
-            azimuth: args.view.0,
-            elevation: args.view.1,
-            up: match args.up {
-                AxisName::X => Axis::X,
-                AxisName::Y => Axis::Y,
-                AxisName::Z => Axis::Z,
-            },
-        },
+        view: View { azimuth: args.view.0, elevation: args.view.1, up: args.up.axis() },
         point_size: args.point_size,
     }
 }

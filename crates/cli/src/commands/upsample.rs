@@ -6,14 +6,16 @@ use std::time::{Duration, Instant};
 
 use clap::{ArgGroup, Args};
 use densecloud::{Options, PrepareError, Prepared, Report};
-use densecloud_engine::{EngineError, Outcome, Pending, ProgressHandle};
+use densecloud_cloud::Cloud;
+use densecloud_engine::{EngineError, Outcome, Pending, ProgressHandle, StageTimes};
 use densecloud_tiles::Input;
 use indicatif::{ProgressBar, ProgressStyle};
 
 use super::engine_args::EngineArgs;
 use super::options::{GOALS, OptionArgs};
 use super::tile_args::TileArgs;
-use super::{CliError, files, places, tiled, upsample_remote};
+use super::{CliError, files, places, report, tiled, upsample_remote};
+use crate::report::Making;
 
 /// Make a cloud denser.
 #[derive(Debug, Args)]
@@ -51,6 +53,10 @@ pub(super) struct UpsampleArgs {
     #[command(flatten)]
     pub(super) tiles: TileArgs,
 
+    /// Write a page that shows the result beside the input, an HTML file: as `densecloud report` does
+    #[arg(long, value_name = "HTML", conflicts_with = "server")]
+    report: Option<PathBuf>,
+
     /// Go on where a work on the same input, with the same options, was stopped or killed; what is done stays in the
     /// temporary folder for that
     #[arg(long, conflicts_with = "server")]
@@ -66,6 +72,9 @@ pub const PROVENANCE: &str = ".provenance.txt";
 pub(super) fn run(args: &UpsampleArgs) -> Result<(), CliError> {
     places::check(&[&args.input, &args.output])?;
     let options = args.options.options()?;
+    if let Some(page) = &args.report {
+        report::check_name(page)?;
+    }
     let format = files::wanted_from(&args.input, &args.output, &options.reading)?;
     let options = Options { format, ..options };
     if let Some(url) = &args.server {
@@ -79,8 +88,10 @@ pub(super) fn run(args: &UpsampleArgs) -> Result<(), CliError> {
     let read = Input::read(reader, tile_points).map_err(|why| CliError::file(&args.input, why))?;
     let (cloud, header) = match read {
         Input::Small(cloud, header) => (*cloud, header),
+        Input::Large(_) if args.report.is_some() => return Err(no_report(&args.input)),
         Input::Large(large) => return tiled::run(args, &options, *large, tile_points, model, start),
     };
+    let before = args.report.as_ref().map(|page| (page, cloud.clone(), header.format));
     let prepared = Prepared::new(cloud, header.format, options, &model.name());
     let Prepared { request, mut report } = prepared.map_err(|error| refused(&args.input, &error))?;
     let warn = |warnings: &[String]| super::warn(warnings, args.quiet);
@@ -100,8 +111,24 @@ pub(super) fn run(args: &UpsampleArgs) -> Result<(), CliError> {
         &report.origin,
     )?;
     write_provenance(&report, &args.output)?;
+    let (seconds, Outcome { made, stages, .. }) = (start.elapsed().as_secs_f64(), outcome);
+    if let Some((page, cloud, format)) = before {
+        let after = Cloud {
+            positions: made.positions,
+            attributes: made.attributes,
+            origin: report.origin,
+            ..Cloud::default()
+        };
+        let making = Making {
+            warnings: report.warnings,
+            seconds,
+            stages: self::stages(&stages).map(|(name, time)| (name.to_owned(), time.as_secs_f64())).collect(),
+        };
+        let before = (&cloud, format, args.input.as_path());
+        report::write_of(page, before, (&after, report.format, &args.output), making)?;
+    }
     if !args.quiet {
-        let (seconds, shares) = (start.elapsed().as_secs_f64(), shares(&outcome));
+        let shares = shares(&stages);
         let (from, to) = (report.points_in, report.points_out);
         super::note(&format!("{from} -> {to} points in {seconds:.1} s ({shares})"));
     }
@@ -152,10 +179,23 @@ fn show(bar: &ProgressBar, handle: &ProgressHandle) {
     bar.set_position((progress.fraction * 1000.0) as u64);
 }
 
-fn shares(outcome: &Outcome) -> String {
-    let total = outcome.stages.total().as_secs_f64().max(f64::MIN_POSITIVE);
-    let share = |(stage, time): (densecloud_cascade::Stage, Duration)| {
-        format!("{} {:.0} %", stage.name(), 100.0 * time.as_secs_f64() / total)
-    };
-    outcome.stages.iter().filter(|(_, time)| !time.is_zero()).map(share).collect::<Vec<_>>().join(", ")
+/// A report holds both clouds, and this one is too large for that.
+fn no_report(input: &Path) -> CliError {
+    CliError::file(
+        input,
+        "it is worked on in tiles, and --report needs all of it at once; upsample it without, then make a report of a \
+         part: densecloud report IN OUT -o HTML --bounds X0,Y0,X1,Y1",
+    )
+}
+
+/// The stages that took any time, by name.
+fn stages(times: &StageTimes) -> impl Iterator<Item = (&'static str, Duration)> {
+    times.iter().filter(|(_, time)| !time.is_zero()).map(|(stage, time)| (stage.name(), time))
+}
+
+fn shares(times: &StageTimes) -> String {
+    let total = times.total().as_secs_f64().max(f64::MIN_POSITIVE);
+    let share =
+        |(name, time): (&str, Duration)| format!("{name} {:.0} %", 100.0 * time.as_secs_f64() / total);
+    stages(times).map(share).collect::<Vec<_>>().join(", ")
 }

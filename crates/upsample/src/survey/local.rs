@@ -1,7 +1,7 @@
 //! What the neighbourhood of one point is like.
 
 use super::cell::{Flat, voronoi_area};
-use densecloud_cloud::Point;
+use densecloud_cloud::{Frame, Point, Position};
 use densecloud_geometry::{KdTree, Neighbour, Plane, quadratic_residual};
 
 /// Neighbours looked at.
@@ -37,8 +37,10 @@ const LINE: f64 = 0.01;
 /// How much further than its neighbours from theirs a point is that stands alone.
 const ALONE: f32 = 3.0;
 
-/// Measures of one point.
+/// Measures of one point, in the cloud's units.
 pub(super) struct Local {
+    /// Where it is, in the cloud's coordinates.
+    pub(super) at: Position,
     /// Distance to the nearest other point.
     pub(super) nearest: f64,
     /// Points a square unit of the tangent plane.
@@ -54,7 +56,7 @@ pub(super) struct Local {
 
 impl Local {
     /// `None` where there are too few points to say anything.
-    pub(super) fn measure(points: &[Point], tree: &KdTree, i: usize) -> Option<Self> {
+    pub(super) fn measure(points: &[Point], tree: &KdTree, frame: &Frame, i: usize) -> Option<Self> {
         let mut near = Vec::new();
         tree.nearest(points[i], NEIGHBOURS + 1, &mut near);
         if near.len() < RING + 2 {
@@ -88,24 +90,19 @@ impl Local {
         // Between this one and the last, which lies on the circle's rim.
         let density = (flat.len() - 1) as f64 / (std::f64::consts::PI * reach * reach);
         let isolated = isolated(points, tree, &near);
+        // In the cloud's units.
+        let unit = frame.scale();
         Some(Self {
-            nearest,
-            density,
+            at: frame.to_world(points[i]),
+            nearest: nearest * unit,
+            density: density / (unit * unit),
             // A lone return is no surface.
-            cell: if isolated { 0.0 } else { cell },
-            noise: quadratic_residual(points, &near),
+            cell: if isolated { 0.0 } else { cell * unit * unit },
+            noise: quadratic_residual(points, &near) * unit,
             off_surface: least > VOLUME * total && !in_sheet(points, &near),
             on_line: middle < LINE * most,
             isolated,
         })
-    }
-
-    /// From the local frame's unit to the cloud's.
-    pub(super) fn scale(&mut self, unit: f64) {
-        self.nearest *= unit;
-        self.noise *= unit;
-        self.cell *= unit * unit;
-        self.density /= unit * unit;
     }
 }
 

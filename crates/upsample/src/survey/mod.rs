@@ -11,7 +11,7 @@ mod strays;
 mod target;
 
 pub use parts::Parts;
-pub use strays::strays;
+pub use strays::{Source, strays};
 pub use target::{Goal, GoalError};
 
 use densecloud_cloud::{Frame, FrameError, Position};
@@ -71,6 +71,17 @@ pub struct Spread {
     pub high: f64,
 }
 
+/// What a cloud is like at one of its points. Lengths are in the cloud's own units.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Place {
+    /// The point.
+    pub at: Position,
+    /// Distance to the nearest other point.
+    pub spacing: f64,
+    /// Points a square unit of surface, about it.
+    pub density: f64,
+}
+
 impl Survey {
     /// Measures a cloud at `sample` of its points. The same cloud gives the same survey on any number of
     /// threads.
@@ -81,6 +92,17 @@ impl Survey {
     /// # Panics
     /// Above [`MAX_POINTS`](densecloud_geometry::MAX_POINTS).
     pub fn of(positions: &[Position], sample: usize) -> Result<Self, FrameError> {
+        Ok(Self::with_places(positions, sample)?.0)
+    }
+
+    /// As [`Survey::of`], and the places where it was measured, in no particular order.
+    ///
+    /// # Errors
+    /// As [`Survey::of`].
+    ///
+    /// # Panics
+    /// As [`Survey::of`].
+    pub fn with_places(positions: &[Position], sample: usize) -> Result<(Self, Vec<Place>), FrameError> {
         let finite: Vec<Position> =
             positions.iter().copied().filter(|p| p.iter().all(|c| c.is_finite())).collect();
         let frame = Frame::fit(&finite)?;
@@ -93,7 +115,8 @@ impl Survey {
         }
         let mut parts = Parts::default();
         parts.add(&finite, finite.len(), &frame, sample);
-        Ok(parts.survey(finite.len(), positions.len() - finite.len(), bounds))
+        let places = parts.places();
+        Ok((parts.survey(finite.len(), positions.len() - finite.len(), bounds), places))
     }
 
     /// How far apart the points of a result of so many points will be, about.

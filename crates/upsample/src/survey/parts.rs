@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 
 use super::local::Local;
-use super::{Spread, Survey, chosen};
+use super::{Place, Spread, Survey, chosen};
 use densecloud_cascade::distinct;
 use densecloud_cloud::{Frame, Point, Position};
 use densecloud_geometry::KdTree;
@@ -15,7 +15,6 @@ const UNSEEN: f64 = 1.02;
 /// What was measured of the parts of a cloud.
 #[derive(Default)]
 pub struct Parts {
-    /// In the cloud's units.
     measured: Vec<Local>,
     /// The surface's area in the parts.
     area: f64,
@@ -46,13 +45,8 @@ impl Parts {
         let tree = KdTree::new(&points);
         let mut measured: Vec<Local> = chosen(distinct_own, sample)
             .par_iter()
-            .filter_map(|&i| Local::measure(&points, &tree, i as usize))
+            .filter_map(|&i| Local::measure(&points, &tree, frame, i as usize))
             .collect();
-        // In the cloud's units from here on.
-        let unit = frame.scale();
-        for m in &mut measured {
-            m.scale(unit);
-        }
         let cell = mean(&measured.iter().map(|m| m.cell).collect::<Vec<f64>>());
         let area = UNSEEN * cell * distinct_own as f64;
         self.area += area;
@@ -60,6 +54,12 @@ impl Parts {
         self.duplicates += own - distinct_own;
         self.measured.append(&mut measured);
         area
+    }
+
+    /// Where it was measured, and what the cloud is like there.
+    pub(super) fn places(&self) -> Vec<Place> {
+        let place = |m: &Local| Place { at: m.at, spacing: m.nearest, density: m.density };
+        self.measured.iter().map(place).collect()
     }
 
     /// The survey of a cloud of so many points, of which the parts are all, or some that stand for all.

@@ -9,34 +9,87 @@ use densecloud_geometry::{KdTree, Walk};
 /// Neighbours that a source point's spacing is the mean distance to.
 const NEIGHBOURS: usize = 8;
 
+/// A cloud that others are measured against, in its own local spacings: the spacing at a place is that of the nearest
+/// point, the mean distance to its 8 nearest.
+#[derive(Debug)]
+pub struct Source {
+    frame: Frame,
+    tree: KdTree,
+    /// A distinct point's, in local units.
+    spacing: Vec<f32>,
+}
+
+impl Source {
+    /// Indexes the finite points of a cloud. O(n log n).
+    ///
+    /// # Errors
+    /// It has no finite point, or all are the same.
+    pub fn new(positions: &[Position]) -> Result<Self, FrameError> {
+        let source: Vec<Position> = positions.iter().filter(finite).copied().collect();
+        let frame = Frame::fit(&source)?;
+        let points =
+            distinct(&source.iter().map(|p| frame.to_local(*p).map(|c| c + 0.0)).collect::<Vec<Point>>());
+        let tree = KdTree::new(&points);
+        let spacing = points
+            .par_iter()
+            .map_init(Walk::default, |walk, p| {
+                tree.nearest_next(*p, NEIGHBOURS + 1, walk);
+                let others = walk.found.get(1..).unwrap_or_default();
+                others.iter().map(|n| n.distance_squared.sqrt()).sum::<f32>() / others.len().max(1) as f32
+            })
+            .collect();
+        Ok(Self { frame, tree, spacing })
+    }
+
+    /// How far each finite position is from the nearest point, in local spacings; in order. O(m log n).
+    #[must_use]
+    pub fn distances(&self, positions: &[Position]) -> Vec<f64> {
+        let near = self.nearest(positions);
+        near.into_iter().map(|(distance, spacing)| ratio(distance, spacing)).collect()
+    }
+
+    /// How far each finite position is from the nearest of `other`, in local spacings of this one; in order.
+    /// O(m (log n + log o)).
+    #[must_use]
+    pub fn distances_to(&self, other: &Self, positions: &[Position]) -> Vec<f64> {
+        let (own, theirs) = (self.nearest(positions), other.nearest(positions));
+        own.into_iter().zip(theirs).map(|((_, spacing), (distance, _))| ratio(distance, spacing)).collect()
+    }
+
+    /// The distance to the nearest point, and the spacing there, in the cloud's units.
+    fn nearest(&self, positions: &[Position]) -> Vec<(f64, f64)> {
+        let positions: Vec<&Position> = positions.iter().filter(finite).collect();
+        let unit = self.frame.scale();
+        let near = |p: &&Position| {
+            let near = self.tree.nearest_one(self.frame.to_local(**p));
+            // A frame has a point.
+            near.map_or((0.0, 0.0), |n| {
+                let (distance, spacing) = (n.distance_squared.sqrt(), self.spacing[n.index as usize]);
+                (unit * f64::from(distance), unit * f64::from(spacing))
+            })
+        };
+        positions.par_iter().map(near).collect()
+    }
+}
+
+fn finite(p: &&Position) -> bool {
+    p.iter().all(|c| c.is_finite())
+}
+
+/// 0 where both are.
+fn ratio(distance: f64, spacing: f64) -> f64 {
+    if distance > 0.0 { distance / spacing } else { 0.0 }
+}
+
 /// The share of the finite points of `dense` that lie further than `spacings` local spacings from every
-/// point of `source`: the spacing at a point is that of the nearest source point, the mean distance to its
-/// 8 nearest. O((n + m) log n).
+/// point of `source`, as [`Source`] measures them. O((n + m) log n).
 ///
 /// # Errors
 /// `source` has no finite point, or all are the same.
 pub fn strays(source: &[Position], dense: &[Position], spacings: f64) -> Result<f64, FrameError> {
-    let finite = |p: &&Position| p.iter().all(|c| c.is_finite());
-    let source: Vec<Position> = source.iter().filter(finite).copied().collect();
-    let frame = Frame::fit(&source)?;
-    let points =
-        distinct(&source.iter().map(|p| frame.to_local(*p).map(|c| c + 0.0)).collect::<Vec<Point>>());
-    let tree = KdTree::new(&points);
-    let spacing: Vec<f32> = points
-        .par_iter()
-        .map_init(Walk::default, |walk, p| {
-            tree.nearest_next(*p, NEIGHBOURS + 1, walk);
-            let others = walk.found.get(1..).unwrap_or_default();
-            others.iter().map(|n| n.distance_squared.sqrt()).sum::<f32>() / others.len().max(1) as f32
-        })
-        .collect();
-    let dense: Vec<&Position> = dense.iter().filter(finite).collect();
-    let far = dense.par_iter().filter(|p| {
-        tree.nearest_one(frame.to_local(***p)).is_some_and(|n| {
-            f64::from(n.distance_squared.sqrt()) > spacings * f64::from(spacing[n.index as usize])
-        })
-    });
-    Ok(far.count() as f64 / dense.len().max(1) as f64)
+    let distances = Source::new(source)?.distances(dense);
+    let far = distances.iter().filter(|d| **d > spacings).count();
+    Ok(far as f64 / distances.len().max(1) as f64)
 }
 
 #[cfg(test)]
