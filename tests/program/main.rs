@@ -3,6 +3,7 @@
 mod addresses;
 mod batch;
 mod command;
+mod completions;
 mod doors;
 mod faults;
 mod hostile;

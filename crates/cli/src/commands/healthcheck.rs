@@ -18,7 +18,7 @@ use super::{CliError, Command, connection, files};
 Examples:
   densecloud healthcheck
   densecloud healthcheck http://clouds.example.org:8080
-  densecloud healthcheck http://127.0.0.1:8080/healthz     (alive is enough)
+  densecloud healthcheck http://127.0.0.1:8080/healthz   # alive is enough
 
 In a Dockerfile:
   HEALTHCHECK CMD [\"/opt/densecloud/densecloud\", \"healthcheck\"]")]

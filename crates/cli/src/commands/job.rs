@@ -46,17 +46,26 @@ enum JobCommand {
     /// Leave a cloud; prints the job's id
     Submit(SubmitArgs),
     /// The newest jobs
+    #[command(after_help = "\
+Examples:
+  densecloud job list --limit 5")]
     List {
         /// How many
         #[arg(long, default_value_t = 20)]
         limit: u32,
     },
     /// Wait for a job's end, with a progress bar; exit code 0 if it is done
+    #[command(after_help = "\
+Examples:
+  densecloud job watch $id && densecloud job get $id dense.ply")]
     Watch {
         /// The job
         id: String,
     },
     /// Fetch a result
+    #[command(after_help = "\
+Examples:
+  densecloud job get $id dense.ply")]
     Get {
         /// The job
         id: String,
@@ -67,6 +76,9 @@ enum JobCommand {
         quiet: bool,
     },
     /// Stop a job, or forget one that is over, with its result
+    #[command(after_help = "\
+Examples:
+  densecloud job cancel $id")]
     Cancel {
         /// The job
         id: String,
@@ -75,7 +87,10 @@ enum JobCommand {
 
 /// As `densecloud upsample`.
 #[derive(Debug, Args)]
-#[command(group = ArgGroup::new(GOALS))]
+#[command(group = ArgGroup::new(GOALS), after_help = "\
+Examples:
+  densecloud job submit scan.ply --ratio 4
+  densecloud job submit scan.laz --server https://clouds.example.org --accept application/vnd.laszip")]
 struct SubmitArgs {
     /// The sparse cloud, in any format that is read; `-` for standard input
     input: PathBuf,

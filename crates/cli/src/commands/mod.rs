@@ -2,16 +2,20 @@
 //!
 //! Exit codes: 0 done, 1 the work failed, 64 the command or a setting was wrong (`EX_USAGE`).
 
+mod completions;
 mod connection;
 mod data_folder;
 mod engine_args;
 mod error;
 mod evaluate;
+#[cfg(test)]
+mod examples;
 mod files;
 mod healthcheck;
 mod inspect;
 mod job;
 mod log;
+mod man;
 mod memory;
 mod options;
 mod places;
@@ -47,17 +51,26 @@ use clap::{ArgMatches, CommandFactory, FromArgMatches, Parser, Subcommand};
 use densecloud_server::Role;
 use settings::Refused;
 
+/// The program's name, as shells and manuals have it.
+const NAME: &str = "densecloud";
+
 /// The exit code of what went well.
 const DONE: u8 = 0;
 
 /// Turns a sparse, noisy 3D point cloud into a dense one.
 #[derive(Debug, Parser)]
 #[command(
-    name = "densecloud",
+    name = NAME,
     version,
     about,
     arg_required_else_help = true,
-    after_help = "Exit codes: 0 done, 1 the work failed, 64 an argument or a setting is wrong."
+    after_help = "\
+Examples:
+  densecloud upsample scan.ply dense.ply --ratio 4
+  densecloud inspect scan.laz
+  densecloud help upsample
+
+Exit codes: 0 done, 1 the work failed, 64 an argument or a setting is wrong."
 )]
 struct Arguments {
     #[command(subcommand)]
@@ -78,6 +91,8 @@ enum Command {
     Render(render::RenderArgs),
     Report(report::ReportArgs),
     View(view::ViewArgs),
+    Completions(completions::CompletionsArgs),
+    Man(man::ManArgs),
 }
 
 /// Parses the arguments, the program's name first, runs the command, says how it went, and gives the exit code.
@@ -166,5 +181,7 @@ fn done_by(command: Command, matches: &ArgMatches) -> Result<(), CliError> {
         }
         Command::Job(args) => job::run(&args),
         Command::Healthcheck(args) => healthcheck::run(&args),
+        Command::Completions(args) => completions::run(&args, Arguments::command()),
+        Command::Man(args) => man::run(&args, Arguments::command()),
     }
 }

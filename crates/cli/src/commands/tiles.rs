@@ -20,7 +20,7 @@ use super::{CliError, files, places, tiled};
 Tiles are numbered from 0. Each is run alone, in any order and by any number of programs at once; whatever is run again gives
 the same. `densecloud upsample` takes the same steps, in a temporary folder.
 
-Example:
+Examples:
   tiles=$(densecloud tiles plan scan.laz work --for dense.laz --ratio 4)
   seq 0 $((tiles - 1)) | xargs -P 2 -n 1 densecloud tiles run work
   densecloud tiles join work dense.laz
@@ -42,7 +42,10 @@ enum Step {
 
 /// Cut a cloud into tiles, and print how many there are
 #[derive(Debug, Args)]
-#[command(group = ArgGroup::new(GOALS))]
+#[command(group = ArgGroup::new(GOALS), after_help = "\
+Examples:
+  densecloud tiles plan scan.laz work --for dense.laz --ratio 4
+  densecloud tiles plan s3://clouds/city.laz s3://clouds/work --for dense.laz")]
 struct PlanArgs {
     /// The sparse cloud, as of `densecloud upsample`; `-` for standard input
     input: PathBuf,
@@ -73,6 +76,10 @@ struct PlanArgs {
 
 /// Make the parts of tiles
 #[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  densecloud tiles run work
+  densecloud tiles run work 0 1 2")]
 struct RunArgs {
     /// The folder in which they are planned, or its address
     folder: PathBuf,
@@ -89,6 +96,9 @@ struct RunArgs {
 
 /// Join the parts of all tiles
 #[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  densecloud tiles join work dense.laz")]
 struct JoinArgs {
     /// The folder in which they lie, or its address
     folder: PathBuf,
@@ -106,6 +116,9 @@ struct JoinArgs {
 
 /// Remove what was planned, and all parts
 #[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  densecloud tiles remove work")]
 struct RemoveArgs {
     /// The folder in which they lie, or its address; what else lies there stays
     folder: PathBuf,
