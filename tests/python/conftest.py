@@ -1,5 +1,6 @@
 """What the tests of the package share: clouds, and the program."""
 
+import importlib
 import os
 import subprocess
 import sys
@@ -20,6 +21,17 @@ def sphere(points: int) -> np.ndarray:
     return np.array([465_123.25, 5_204_987.5, 812.125]) + 10 * np.stack(
         [r * np.cos(angle), r * np.sin(angle), z], axis=1
     )
+
+
+#: Whose clouds are taken and given, and whose cluster makes tiles.
+LIBRARIES = ["open3d", "pyvista", "trimesh", "laspy", "dask"]
+
+
+def library(name):
+    """Another library: a missing one is a failure, but for those that DENSECLOUD_WITHOUT says have no wheel here."""
+    if name in os.environ.get("DENSECLOUD_WITHOUT", "").split():
+        pytest.skip(f"{name} has no wheel for this Python")
+    return importlib.import_module(name)
 
 
 @pytest.fixture

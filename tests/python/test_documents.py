@@ -1,6 +1,7 @@
 """What documents and types promise."""
 
 import doctest
+import importlib
 import inspect
 import re
 import subprocess
@@ -11,7 +12,7 @@ import densecloud
 import pytest
 from densecloud import _densecloud, _options
 
-from conftest import ROOT
+from conftest import LIBRARIES, ROOT, library
 
 PACKAGE = Path(densecloud.__file__).parent
 
@@ -22,7 +23,9 @@ def blocks(text):
 
 @pytest.mark.parametrize("name", sorted(path.stem for path in PACKAGE.glob("*.py") if path.stem != "__main__"))
 def test_docstrings_run(name):
-    module = densecloud if name == "__init__" else __import__(f"densecloud.{name}", fromlist=["_"])
+    module = densecloud if name == "__init__" else importlib.import_module(f"densecloud.{name}")
+    if name[1:] in LIBRARIES:
+        library(name[1:])
     assert doctest.testmod(module, optionflags=doctest.NORMALIZE_WHITESPACE).failed == 0
 
 
@@ -36,7 +39,7 @@ def test_lines_of_documents_run(document, tmp_path, monkeypatch, densecloud_prog
         block for block in blocks((ROOT / document).read_text()) if "densecloud" in block and "triton" not in block
     ]
     assert lines
-    names = {}
+    names = {"__name__": "__main__"}
     for block in lines:
         exec(compile(block, document, "exec"), names)
 

@@ -75,6 +75,13 @@ impl Origin {
         own
     }
 
+    /// The same with more that a person should know about how it was read.
+    fn noted(&self, notes: Vec<String>) -> Self {
+        let mut own = self.clone();
+        own.notes.extend(notes);
+        own
+    }
+
     #[getter]
     fn format(&self) -> String {
         self.format.to_string()

@@ -1,29 +1,39 @@
 """Clouds as Python has them: arrays, and what is told of the whole."""
 
+# mypy: disable-error-code="import-not-found, import-untyped"
+# pyright: reportMissingImports=false
+
 from __future__ import annotations
 
 import io
 import os
-import warnings as _warnings
+import sys
+import warnings
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Union
+from typing import TYPE_CHECKING, Any, Literal, Union, overload
 
 import numpy as np
 
-from . import _densecloud
+from . import _densecloud, _foreign, _laspy, _open3d, _pyvista, _trimesh
+from ._columns import COLORS, NORMALS
 from ._errors import DensecloudWarning, InvalidInputError
 
 if TYPE_CHECKING:
     from typing import SupportsIndex, TypeAlias
 
+    import laspy
+    import open3d
+    import pyvista
+    import trimesh
     from numpy.typing import ArrayLike, NDArray
 
-#: What is taken as a cloud: one of ours, an array, or the path of a file.
-CloudLike: TypeAlias = "Union[Cloud, ArrayLike, str, os.PathLike[str]]"
+    from ._foreign import ForeignCloud
 
-_COLORS = ["red", "green", "blue"]
-_NORMALS = ["nx", "ny", "nz"]
+#: What is taken as a cloud: one of ours, an array, one of another library, or the path of a file.
+CloudLike: TypeAlias = "Union[Cloud, ArrayLike, ForeignCloud, str, os.PathLike[str]]"
+
+_PACKAGE = os.path.dirname(__file__)
 
 
 class Cloud:
@@ -55,23 +65,28 @@ class Cloud:
 
     def __init__(
         self,
-        points: ArrayLike,
+        points: ArrayLike | ForeignCloud,
         *,
         colors: ArrayLike | None = None,
         normals: ArrayLike | None = None,
         attributes: Mapping[str, ArrayLike] | None = None,
     ) -> None:
-        array = np.asarray(points)
-        if array.dtype.names is not None or (array.ndim == 2 and array.shape[1] > 3):
-            self._take(*_densecloud.read_bytes(_as_file(array), []))
+        foreign = _foreign.parts_of(points)
+        if foreign is not None:
+            self._take(*foreign)
+            warn(self.warnings)
         else:
-            self._points = _positions(array)
-            self._attributes = {}
-            self._origin = _densecloud.Origin(array.dtype == np.float32)
+            self._take_array(_array(points))
         for name, column in _columns(colors, normals, attributes):
             if name in self._attributes:
                 raise InvalidInputError(f"the cloud has an attribute {name!r} already")
             self._attributes[name] = _numbers(name, column, len(self._points))
+
+    def _take_array(self, array: NDArray[Any]) -> None:
+        if array.dtype.names is not None or (array.ndim == 2 and array.shape[1] > 3):
+            self._take(*_densecloud.read_bytes(_as_file(array), []))
+        else:
+            self._take(_positions(array), [], _densecloud.Origin(array.dtype == np.float32))
 
     def _take(
         self, points: NDArray[np.float64], columns: list[tuple[str, NDArray[Any]]], origin: _densecloud.Origin
@@ -80,7 +95,7 @@ class Cloud:
         for name, column in columns:
             while name in self._attributes:
                 name += "_"
-            self._attributes[name] = column
+            self._attributes[name] = _numbers(name, column, len(points))
 
     @property
     def points(self) -> NDArray[np.float64]:
@@ -95,18 +110,22 @@ class Cloud:
     @property
     def colors(self) -> NDArray[Any] | None:
         """Red, green and blue, N x 3, in the type and the range of the input; None where there are no colors."""
-        return self._stacked(_COLORS)
+        return self._stacked(COLORS)
 
     @property
     def normals(self) -> NDArray[Any] | None:
         """N x 3; None where there are none."""
-        return self._stacked(_NORMALS)
+        return self._stacked(NORMALS)
 
     def _stacked(self, roles: list[str]) -> NDArray[Any] | None:
+        found = self._named(roles)
+        return np.stack([self._attributes[name] for name in found], axis=1) if found else None
+
+    def _named(self, roles: list[str]) -> list[str]:
+        """The names of the attributes that mean these; none where one is missing."""
         names = list(self._attributes)
-        places = _densecloud.places(names, roles)
-        found = [self._attributes[names[place]] for place in places if place is not None]
-        return np.stack(found, axis=1) if len(found) == len(roles) else None
+        found = [names[place] for place in _densecloud.places(names, roles) if place is not None]
+        return found if len(found) == len(roles) else []
 
     @property
     def format(self) -> str:
@@ -135,7 +154,61 @@ class Cloud:
 
     def write(self, path: str | os.PathLike[str]) -> None:
         """Writes a file, in the format that its name asks for. See `densecloud.write`."""
-        _write(path, self, stacklevel=3)
+        provenance = self.provenance if isinstance(self, Result) else None
+        columns = list(self._attributes.items())
+        warn(_densecloud.write(os.fspath(path), self._points, columns, self._origin, provenance))
+
+    @overload
+    def to_open3d(self, *, tensors: Literal[False] = False) -> open3d.geometry.PointCloud: ...
+
+    @overload
+    def to_open3d(self, *, tensors: Literal[True]) -> open3d.t.geometry.PointCloud: ...
+
+    def to_open3d(self, *, tensors: bool = False) -> object:
+        """An `open3d.geometry.PointCloud`: points, colors from 0 to 1, normals.
+
+        With `tensors`, an `open3d.t.geometry.PointCloud` (N x 3 positions of 64 bits) that has all attributes.
+
+        What it has no place for is told by a DensecloudWarning. Raises ImportError, with how to install Open3D.
+        """
+        made, lost = _open3d.tensors(self) if tensors else _open3d.vectors(self)
+        self._tell("an Open3D cloud without tensors", lost)
+        return made
+
+    def to_pyvista(self) -> pyvista.PolyData:
+        """A `pyvista.PolyData` of points (N x 3, 64 bits), with an array for each attribute.
+
+        Colors are `RGB` or `RGBA`, of bytes or from 0 to 1, as `mesh.plot(scalars="RGB", rgb=True)` draws them; normals
+        are `Normals`.
+
+        What it has no place for is told by a DensecloudWarning. Raises ImportError, with how to install PyVista.
+        """
+        self._tell("PyVista", [])
+        return _pyvista.points(self)
+
+    def to_trimesh(self) -> trimesh.PointCloud:
+        """A `trimesh.PointCloud`: points, colors of bytes, and in its `metadata` the other attributes by their names.
+
+        What it has no place for is told by a DensecloudWarning. Raises ImportError, with how to install trimesh.
+        """
+        made, lost = _trimesh.points(self)
+        self._tell("trimesh", lost)
+        return made
+
+    def to_laspy(self) -> laspy.LasData:
+        """A `laspy.LasData`: what `write` would put into a LAS file, read from there.
+
+        Coordinates are whole numbers of a scale: that of the LAS file that the cloud came in, else one that is fine for
+        its spacing. What LAS has no place for is told by a DensecloudWarning. Raises ImportError, with how to install
+        laspy.
+        """
+        return _laspy.points(self)
+
+    def _tell(self, library: str, lost: list[str]) -> None:
+        """Warns of what another library's cloud has no place for."""
+        lost = lost + ["the coordinate system"] * (self.crs is not None)
+        if lost:
+            warn([f"{library} has no place for {', '.join(lost)}"])
 
     def __len__(self) -> int:
         return len(self._points)
@@ -199,7 +272,7 @@ class Result(Cloud):
         return self._report.points_in
 
 
-def read_cloud(source: str | os.PathLike[str] | bytes, pairs: list[tuple[str, str]], stacklevel: int) -> Cloud:
+def read_cloud(source: str | os.PathLike[str] | bytes, pairs: list[tuple[str, str]]) -> Cloud:
     """Reads a file or its bytes, and warns of what a person should know."""
     if isinstance(source, bytes):
         parts = _densecloud.read_bytes(source, pairs)
@@ -210,7 +283,7 @@ def read_cloud(source: str | os.PathLike[str] | bytes, pairs: list[tuple[str, st
     # Its file is named in results that are made of it.
     for array in (cloud._points, *cloud._attributes.values()):
         array.flags.writeable = False
-    warn(cloud.warnings, stacklevel)
+    warn(cloud.warnings)
     return cloud
 
 
@@ -225,16 +298,13 @@ def result(parts: tuple[Any, Any, _densecloud.Origin, _densecloud.Report], confi
     return made
 
 
-def _write(path: str | os.PathLike[str], cloud: Cloud, stacklevel: int) -> None:
-    provenance = cloud.provenance if isinstance(cloud, Result) else None
-    columns = list(cloud._attributes.items())
-    warn(_densecloud.write(os.fspath(path), cloud._points, columns, cloud._origin, provenance), stacklevel)
-
-
-def warn(told: list[str], stacklevel: int) -> None:
-    """Warns of each sentence, as of the caller that many frames above."""
+def warn(told: list[str]) -> None:
+    """Warns of each sentence, as of whoever called the package."""
+    frame, above = sys._getframe(1), 2
+    while frame.f_back is not None and os.path.dirname(frame.f_code.co_filename) == _PACKAGE:
+        frame, above = frame.f_back, above + 1
     for sentence in told:
-        _warnings.warn(sentence, DensecloudWarning, stacklevel=stacklevel + 1)
+        warnings.warn(sentence, DensecloudWarning, stacklevel=above)
 
 
 def _as_file(array: NDArray[Any]) -> bytes:
@@ -242,6 +312,13 @@ def _as_file(array: NDArray[Any]) -> bytes:
     file = io.BytesIO()
     np.save(file, array, allow_pickle=False)
     return file.getvalue()
+
+
+def _array(points: object) -> NDArray[Any]:
+    array = np.asarray(points)
+    if array.ndim == 0 and array.dtype == object:
+        raise InvalidInputError(f"a {type(points).__name__} is not a cloud: points are an array of N x 3")
+    return array
 
 
 def _positions(array: NDArray[Any]) -> NDArray[np.float64]:
@@ -255,7 +332,7 @@ def _positions(array: NDArray[Any]) -> NDArray[np.float64]:
 def _columns(
     colors: ArrayLike | None, normals: ArrayLike | None, attributes: Mapping[str, ArrayLike] | None
 ) -> list[tuple[str, NDArray[Any]]]:
-    columns = _parts("colors", colors, [*_COLORS, "alpha"]) + _parts("normals", normals, _NORMALS)
+    columns = _parts("colors", colors, [*COLORS, "alpha"]) + _parts("normals", normals, NORMALS)
     if attributes is not None and not isinstance(attributes, Mapping):
         raise TypeError("attributes are arrays by their names; how new points come by them is said by `rules`")
     return columns + [(name, np.asarray(column)) for name, column in (attributes or {}).items()]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from typing import TYPE_CHECKING
 
-from ._cloud import Cloud, CloudLike, _write, read_cloud
+from ._cloud import Cloud, CloudLike, read_cloud
 from ._options import Reading, pairs
 from ._upsampler import as_cloud
 
@@ -30,7 +30,7 @@ def read(source: str | os.PathLike[str] | bytes | IO[bytes], /, **reading: Unpac
     """
     if not isinstance(source, (str, os.PathLike, bytes)):
         source = source.read()
-    return read_cloud(source, pairs(None, reading, Reading), stacklevel=3)
+    return read_cloud(source, pairs(None, reading, Reading))
 
 
 def write(path: str | os.PathLike[str], cloud: CloudLike, /) -> None:
@@ -47,4 +47,4 @@ def write(path: str | os.PathLike[str], cloud: CloudLike, /) -> None:
 
     Raises InvalidInputError where the format cannot hold it, and OSError.
     """
-    _write(path, as_cloud(cloud, None, None, {}, 3), stacklevel=3)
+    as_cloud(cloud, None, None, {}).write(path)

@@ -39,7 +39,7 @@ def inspect(
     Raises InvalidInputError and OSError.
     """
     path = os.fspath(cloud) if isinstance(cloud, (str, os.PathLike)) else None
-    whole = as_cloud(cloud, None, None, reading, 3)
+    whole = as_cloud(cloud, None, None, reading)
     points = None if source is None else _positions(source, reading)
     columns = list(whole._attributes.items())
     told = _densecloud.inspect(whole._points, columns, whole._origin, path, sample, ratio, points)
@@ -76,4 +76,4 @@ def evaluate(
 def _positions(cloud: CloudLike, reading: Any) -> Any:
     """The points alone; what is said of reading is for files."""
     is_file = isinstance(cloud, (str, os.PathLike))
-    return as_cloud(cloud, None, None, reading if is_file else {}, 4)._points
+    return as_cloud(cloud, None, None, reading if is_file else {})._points

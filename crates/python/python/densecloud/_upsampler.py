@@ -66,7 +66,18 @@ class Upsampler:
         **options: Unpack[Options],
     ) -> Result:
         """Makes a cloud dense. See `densecloud.upsample`."""
-        return self._upsample(cloud, ratio, colors, attributes, progress, options, stacklevel=3)
+        # All names are known before any file is read.
+        pairs(ratio, options, Options)
+        making, reading = split(options)
+        asked = pairs(ratio, making, Making)
+        cloud = as_cloud(cloud, colors, attributes, reading)
+        columns = list(cloud._attributes.items())
+        with _progress.heard(progress) as hear:
+            made = self._inner.upsample(cloud._points, columns, cloud._origin, asked, hear)
+        dense = result(made, bool(options.get("confidence")))
+        known = set(cloud.warnings)
+        warn([told for told in dense.warnings if told not in known])
+        return dense
 
     def upsample_file(
         self,
@@ -81,50 +92,14 @@ class Upsampler:
         **options: Unpack[FileOptions],
     ) -> Report:
         """Makes a file of a file, of any size. See `densecloud.upsample_file`."""
-        return self._upsample_file(source, target, ratio, temp_dir, resume, progress, options, stacklevel=3)
-
-    def _upsample_file(
-        self,
-        source: str | os.PathLike[str],
-        target: str | os.PathLike[str],
-        ratio: float | None,
-        temp_dir: str | os.PathLike[str] | None,
-        resume: bool,
-        progress: _progress.ProgressLike,
-        options: Mapping[str, Any],
-        stacklevel: int,
-    ) -> Report:
         asked = pairs(ratio, options, FileOptions)
         folder = None if temp_dir is None else os.fspath(temp_dir)
         with _progress.heard(progress) as hear:
             told = _densecloud.upsample_file(
                 self._inner, os.fspath(source), os.fspath(target), asked, folder, resume, hear
             )
-        warn(told.warnings, stacklevel)
+        warn(told.warnings)
         return told
-
-    def _upsample(
-        self,
-        cloud: CloudLike,
-        ratio: float | None,
-        colors: ArrayLike | None,
-        attributes: Mapping[str, ArrayLike] | None,
-        progress: _progress.ProgressLike,
-        options: Mapping[str, Any],
-        stacklevel: int,
-    ) -> Result:
-        # All names are known before any file is read.
-        pairs(ratio, options, Options)
-        making, reading = split(options)
-        asked = pairs(ratio, making, Making)
-        cloud = as_cloud(cloud, colors, attributes, reading, stacklevel + 1)
-        columns = list(cloud._attributes.items())
-        with _progress.heard(progress) as hear:
-            made = self._inner.upsample(cloud._points, columns, cloud._origin, asked, hear)
-        dense = result(made, bool(options.get("confidence")))
-        known = set(cloud.warnings)
-        warn([told for told in dense.warnings if told not in known], stacklevel)
-        return dense
 
 
 def as_cloud(
@@ -132,11 +107,10 @@ def as_cloud(
     colors: ArrayLike | None,
     attributes: Mapping[str, ArrayLike] | None,
     reading: Mapping[str, Any],
-    stacklevel: int,
 ) -> Cloud:
     """What a caller gives as a cloud."""
     if isinstance(cloud, (str, os.PathLike)):
-        cloud = read_cloud(cloud, pairs(None, reading, Reading), stacklevel + 1)
+        cloud = read_cloud(cloud, pairs(None, reading, Reading))
     elif reading:
         raise InvalidInputError(f"{', '.join(reading)}: how a file is read; this is a cloud already")
     if not isinstance(cloud, Cloud):
@@ -170,10 +144,11 @@ def upsample(
 ) -> Result:
     """Makes a cloud dense: `ratio` times the points, from 1 to 64, 4 where nobody says.
 
-    `cloud` is an array of N x 3 of any numbers, a structured array or a table with further columns, a `Cloud`, or the
-    path of a file. `colors` (N x 3) and `attributes` (by name, N numbers each) are carried over to the new points.
-    `options` are those of the program, by the same names: `help(densecloud.Options)` has all of them. Instead of a
-    ratio, `points`, `spacing` or `density` say how dense the result shall be.
+    `cloud` is an array of N x 3 of any numbers, a structured array or a table with further columns, a `Cloud`, one of
+    Open3D, PyVista, trimesh or laspy, or the path of a file. `colors` (N x 3) and `attributes` (by name, N numbers
+    each) are carried over to the new points. `options` are those of the program, by the same names:
+    `help(densecloud.Options)` has all of them. Instead of a ratio, `points`, `spacing` or `density` say how dense the
+    result shall be.
 
     Points come out in the coordinates of the input, as 64-bit floats: exactly as many as were asked for, but for
     `min_confidence`. The same input, options and seed give the same on any number of threads. Cost: a core makes some
@@ -195,7 +170,7 @@ def upsample(
     not fit; OSError for files; DensecloudError where ONNX Runtime fails. What a person should know comes as a
     DensecloudWarning, and is in `warnings` of the result.
     """
-    return shared()._upsample(cloud, ratio, colors, attributes, progress, options, stacklevel=3)
+    return shared().upsample(cloud, ratio, colors=colors, attributes=attributes, progress=progress, **options)
 
 
 def upsample_file(
@@ -228,4 +203,4 @@ def upsample_file(
 
     Raises what `densecloud.upsample` does.
     """
-    return shared()._upsample_file(source, target, ratio, temp_dir, resume, progress, options, stacklevel=3)
+    return shared().upsample_file(source, target, ratio, temp_dir=temp_dir, resume=resume, progress=progress, **options)

@@ -12,7 +12,9 @@
 
 from __future__ import annotations
 
+import functools
 import os
+from concurrent.futures import as_completed
 from typing import TYPE_CHECKING
 
 from . import _densecloud, _progress
@@ -22,6 +24,8 @@ from ._options import FileOptions, pairs
 from ._upsampler import Upsampler, shared
 
 if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
     from typing_extensions import Unpack
 
 __all__ = ["Report", "Tiling", "load", "plan"]
@@ -71,13 +75,44 @@ class Tiling:
         with _progress.heard(progress) as hear:
             return self._inner.run((upsampler or shared())._inner, tile, hear)
 
+    def run_all(
+        self,
+        executor: Executor,
+        /,
+        *,
+        threads: int = 1,
+        model: str | os.PathLike[str] | None = None,
+        progress: _progress.ProgressLike = False,
+    ) -> None:
+        """Makes the parts of all tiles that are not done, on the processes or machines of an executor.
+
+        That is a `concurrent.futures.Executor`: `ProcessPoolExecutor` with the context "spawn", Dask's
+        `client.get_executor(retries=3)`, `mpi4py.futures.MPIPoolExecutor`. Its workers see `folder` by the same path,
+        and have this package. `threads` is how many each tile is made on; `model` is the folder of the model that the
+        tiles are planned for, where it is not the one of the package. What comes out depends on none of it.
+
+        What fails in a worker is raised here, and the tiles that no worker has begun are cancelled; the parts that are
+        done stay, and the next call makes the others.
+        """
+        folder, chosen = os.path.abspath(self.folder), None if model is None else os.path.abspath(model)
+        futures = [executor.submit(_run, folder, tile, chosen, threads) for tile in self.not_done()]
+        try:
+            with _progress.heard(progress) as hear:
+                for done, future in enumerate(as_completed(futures), 1):
+                    future.result()
+                    if hear is not None:
+                        hear(done / len(futures), "tiles")
+        finally:
+            for future in futures:
+                future.cancel()
+
     def join(self, target: str | os.PathLike[str], /) -> Report:
         """Writes the parts of all tiles into one file, in the format that they are planned for.
 
         Raises DensecloudError, which names the tiles that are not done.
         """
         told = self._inner.join(os.fspath(target))
-        warn(told.warnings[len(self.report.warnings) :], stacklevel=2)
+        warn(told.warnings[len(self.report.warnings) :])
         return told
 
     def remove(self) -> None:
@@ -106,7 +141,7 @@ def plan(
     name = None if output is None else os.fspath(output)
     inner = (upsampler or shared())._inner
     made = _densecloud.plan(inner, os.fspath(source), os.fspath(folder), name, asked)
-    warn(made.report.warnings, stacklevel=2)
+    warn(made.report.warnings)
     return Tiling(made)
 
 
@@ -116,3 +151,14 @@ def load(folder: str | os.PathLike[str], /) -> Tiling:
     Raises DensecloudError where it is broken, and OSError where there is none.
     """
     return Tiling(_densecloud.load(os.fspath(folder)))
+
+
+def _run(folder: str, tile: int, model: str | None, threads: int) -> int:
+    """Makes the part of one tile, in whichever process."""
+    return load(folder).run(tile, upsampler=_upsampler(model, threads))
+
+
+@functools.lru_cache(maxsize=1)
+def _upsampler(model: str | None, threads: int) -> Upsampler:
+    """The one of this process: a model is loaded once."""
+    return Upsampler(model, threads=threads)

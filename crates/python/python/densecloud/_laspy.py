@@ -1,0 +1,50 @@
+"""Clouds of laspy, by the bytes of a LAS file: with its scales and offsets, its records and its extra dimensions.
+
+>>> import laspy, numpy as np, densecloud
+>>> las = laspy.create(point_format=6, file_version="1.4")
+>>> las.xyz = np.stack(np.meshgrid(np.arange(10.0), np.arange(10.0), [0.0]), axis=-1).reshape(-1, 3)
+>>> las.classification[:] = 2
+>>> dense = densecloud.upsample(las, ratio=4).to_laspy()
+>>> len(dense.points), dense.header.point_format.id, set(dense.classification.tolist())
+(400, 6, {2})
+"""
+
+# mypy: disable-error-code="import-not-found, import-untyped"
+# pyright: reportMissingImports=false
+
+from __future__ import annotations
+
+import io
+import os
+import tempfile
+from typing import TYPE_CHECKING, Any
+
+from . import _densecloud
+from ._columns import library
+from ._errors import InvalidInputError
+
+if TYPE_CHECKING:
+    from ._cloud import Cloud
+    from ._columns import Parts
+
+
+def parts_of(las: Any) -> Parts | None:
+    """What a `LasData` has."""
+    import laspy
+
+    if isinstance(las, (laspy.LasReader, laspy.PackedPointRecord, laspy.LasHeader)):
+        raise InvalidInputError(f"a {type(las).__name__} is not a cloud: give the LasData that `laspy.read` gives")
+    if not isinstance(las, laspy.LasData):
+        return None
+    file = io.BytesIO()
+    las.write(file, do_compress=False)
+    return _densecloud.read_bytes(file.getvalue(), [])
+
+
+def points(cloud: Cloud) -> Any:
+    """The `LasData` of the file that the cloud would be written to."""
+    laspy = library("laspy")
+    with tempfile.TemporaryDirectory() as folder:
+        path = os.path.join(folder, "cloud.las")
+        cloud.write(path)
+        return laspy.read(path)
