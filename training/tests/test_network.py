@@ -1,5 +1,6 @@
 """The unit: its size, and that every form of it is the same function."""
 
+import numpy as np
 import pytest
 import torch
 
@@ -95,6 +96,11 @@ def test_neighbours_leave_the_point_itself_out():
     assert torch.equal(nearest_in_features(features, 8).sort(-1)[0], wanted)
     if native.library() is not None:
         assert torch.equal(native.neighbours(features, 8).long().sort(-1)[0], wanted)
+
+
+def test_the_kernels_leave_numbers_of_the_process_as_they_are():
+    native.library()
+    assert np.float32(1e-40) * np.float32(0.5) > 0, "numbers near zero must stay, for libraries that count on them"
 
 
 def test_kernel_breaks_ties_by_index():
