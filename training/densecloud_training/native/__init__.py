@@ -113,3 +113,30 @@ class EdgeMaxima(torch.autograd.Function):
         targets = [_pointer(tensor) for tensor in (*per_point, *per_matrix)]
         library().densecloud_edge_backward(*pointers, *sizes, *targets, _threads())
         return (*per_point, *(matrix.sum(0) for matrix in per_matrix), None)
+
+
+class Splats(torch.autograd.Function):
+    """Pictures of Gaussians, [size,size,3]; see `score.splats.composite`, whose arguments these are."""
+
+    @staticmethod
+    def forward(ctx, centre, conic, opacity, colour, order, size, behind):
+        inputs = [tensor.detach().contiguous() for tensor in (centre, conic, opacity, colour)]
+        order, behind = torch.as_tensor(order, dtype=torch.int64), torch.as_tensor(behind, dtype=torch.float64)
+        image, left = torch.zeros(size, size, 3), torch.ones(size, size, dtype=torch.float64)
+        sizes = (ctypes.c_int64(len(order)), ctypes.c_int(size))
+        pointers = [_pointer(tensor) for tensor in (*inputs, order)]
+        library().densecloud_splats_forward(*pointers, *sizes, _pointer(image), _pointer(left))
+        ctx.kept = (inputs, order, size, left, behind)
+        return image + (left[..., None] * behind).float()
+
+    @staticmethod
+    def backward(ctx, grad_out):
+        inputs, order, size, left, behind = ctx.kept
+        grad_out, left = grad_out.contiguous(), left.clone()
+        after = left * (grad_out.double() @ behind)
+        grads = torch.zeros(len(inputs[0]), 9)
+        sizes = (ctypes.c_int64(len(order)), ctypes.c_int(size))
+        pointers = [_pointer(tensor) for tensor in (*inputs, order)]
+        targets = [_pointer(tensor) for tensor in (grad_out, left, after, grads)]
+        library().densecloud_splats_backward(*pointers, *sizes, *targets)
+        return grads[:, :2], grads[:, 2:5], grads[:, 5], grads[:, 6:], None, None, None

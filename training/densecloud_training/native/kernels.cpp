@@ -267,6 +267,70 @@ void nearest_of_item(const float* points, int count, const float* others, int ot
     }
 }
 
+// Gaussians on a square picture: middles [n,2] in pixels, inverse covariances [n,3] (xx, xy, yy), opacities, colours.
+struct Splats {
+    const float *centre, *conic, *opacity, *colour;
+    int size;
+};
+
+constexpr float LEAST = 1.0f / 255;  // what covers less is left out
+constexpr float MOST = 0.99f;
+
+// Visits the pixels that Gaussian g covers by at least LEAST, with the place and the offset from its middle.
+template <class Visit>
+void each_pixel(const Splats& s, int64_t g, Visit visit) {
+    if (!(s.opacity[g] > LEAST)) return;
+    const float x = s.centre[2 * g], y = s.centre[2 * g + 1];
+    const float xx = s.conic[3 * g], xy = s.conic[3 * g + 1], yy = s.conic[3 * g + 2];
+    const float reach = 2 * std::log(s.opacity[g] / LEAST), area = xx * yy - xy * xy;
+    const float tall = std::sqrt(reach * xx / area);
+    const auto first = [&](float at) { return int(std::min(std::max(std::ceil(at - 0.5f), 0.0f), float(s.size))); };
+    const auto last = [&](float at) { return int(std::min(std::max(std::floor(at + 0.5f), 0.0f), float(s.size))); };
+    for (int row = first(y - tall); row < last(y + tall); ++row) {
+        const float dy = row + 0.5f - y, middle = x - xy / xx * dy;
+        const float half = std::sqrt(std::max(reach * xx - area * dy * dy, 0.0f)) / xx;
+        for (int column = first(middle - half); column < last(middle + half); ++column)
+            visit(row * s.size + column, column + 0.5f - x, dy);
+    }
+}
+
+float fall(const Splats& s, int64_t g, float dx, float dy) {
+    const float* c = s.conic + 3 * g;
+    return std::exp(-0.5f * (c[0] * dx * dx + c[2] * dy * dy) - c[1] * dx * dy);
+}
+
+void draw(const Splats& s, int64_t g, float* image, double* left) {
+    const float* colour = s.colour + 3 * g;
+    each_pixel(s, g, [&](int pixel, float dx, float dy) {
+        const float alpha = std::min(s.opacity[g] * fall(s, g, dx, dy), MOST);
+        const float share = alpha * float(left[pixel]);
+        for (int k = 0; k < 3; ++k) image[3 * pixel + k] += share * colour[k];
+        left[pixel] *= 1 - alpha;
+    });
+}
+
+// Goes backwards: `left` is what reaches behind Gaussian g, `after` the worth of all behind it. `grad` has 9 numbers:
+// of the middle, the inverse covariance, the opacity and the colour.
+void undraw(const Splats& s, int64_t g, const float* wanted, double* left, double* after, float* grad) {
+    const float *c = s.conic + 3 * g, *colour = s.colour + 3 * g;
+    double sums[9] = {};
+    each_pixel(s, g, [&](int pixel, float dx, float dy) {
+        const float falls = fall(s, g, dx, dy), raw = s.opacity[g] * falls, alpha = std::min(raw, MOST);
+        const float* here = wanted + 3 * pixel;
+        const double before = left[pixel] / (1 - alpha), share = alpha * before;
+        const double worth = colour[0] * here[0] + colour[1] * here[1] + colour[2] * here[2];
+        const double by_alpha = raw < MOST ? before * worth - after[pixel] / (1 - alpha) : 0;
+        const double by_power = by_alpha * raw;
+        const double parts[9] = {by_power * (c[0] * dx + c[1] * dy), by_power * (c[1] * dx + c[2] * dy),
+                                 -0.5 * by_power * dx * dx, -by_power * dx * dy, -0.5 * by_power * dy * dy,
+                                 by_alpha * falls, share * here[0], share * here[1], share * here[2]};
+        for (int k = 0; k < 9; ++k) sums[k] += parts[k];
+        left[pixel] = before;
+        after[pixel] += share * worth;
+    });
+    for (int k = 0; k < 9; ++k) grad[k] = float(sums[k]);
+}
+
 }  // namespace
 
 extern "C" {
@@ -316,5 +380,22 @@ void densecloud_nearest(const float* points, const float* others, int64_t batch,
     for (int64_t item = 0; item < batch; ++item)
         nearest_of_item(points + item * count * 3, count, others + item * other_count * 3, other_count,
                         indices + item * count);
+}
+
+// Gaussians [n,...] drawn in an order, front to back -> image [size,size,3], zeroed before, and left [size,size], ones
+// before: what is still let through.
+void densecloud_splats_forward(const float* centre, const float* conic, const float* opacity, const float* colour,
+                               const int64_t* order, int64_t count, int size, float* image, double* left) {
+    const Splats splats = {centre, conic, opacity, colour, size};
+    for (int64_t i = 0; i < count; ++i) draw(splats, order[i], image, left);
+}
+
+// `left` as the above left it, `after` [size,size] the worth of what is behind all; both are used up. Gradients go to
+// zeroed grad [n,9].
+void densecloud_splats_backward(const float* centre, const float* conic, const float* opacity, const float* colour,
+                                const int64_t* order, int64_t count, int size, const float* wanted, double* left,
+                                double* after, float* grad) {
+    const Splats splats = {centre, conic, opacity, colour, size};
+    for (int64_t i = count - 1; i >= 0; --i) undraw(splats, order[i], wanted, left, after, grad + 9 * order[i]);
 }
 }

@@ -19,4 +19,5 @@ scored is what users run: weights, merging and all. Files made on the way are ke
     pictures    before and after, of real scans
     cleaning    what to do with a noisy scan before upsampling
     noisy       what that gains, measured
+    splats      what denser seeds gain Gaussian splatting
 """

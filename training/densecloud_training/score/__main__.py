@@ -11,6 +11,7 @@ from ..prepare import find_program
 from . import confidence, noisy, peers, pictures, plane, real, rules, stress, targets, thin, tiled, validation, worst
 from .inputs import Inputs
 from .program import Program
+from .splats import experiment as splats
 
 
 def parser() -> argparse.ArgumentParser:
@@ -47,6 +48,9 @@ def parser() -> argparse.ArgumentParser:
     found.add_argument("--fit", action="store_true", help="also fits the model's constants, on one half of the inputs")
     found = commands.add_parser("noisy", parents=[common, meshes], help="what cleaning before upsampling gains")
     found.add_argument("--scans", type=Path, help="folder of scans: draws one of them too, cleaned in each way")
+    found = commands.add_parser("splats", parents=[common, meshes], help="what denser seeds gain Gaussian splatting")
+    found.add_argument("--seeds", type=int, default=splats.SEEDS, help="scenes of each shape [default: %(default)s]")
+    found.add_argument("--steps", type=int, default=splats.STEPS, help="of each optimisation [default: %(default)s]")
     found = commands.add_parser("pictures", parents=[common], help="before and after, of real scans")
     found.add_argument("--scans", type=Path, required=True, help="folder of scans")
     found.add_argument("names", nargs="*", help=f"of: {' '.join(view.scan for view in pictures.VIEWS)}")
@@ -117,6 +121,9 @@ def run(arguments: argparse.Namespace) -> None:
         drawn = noisy.draw(program, arguments.scans, out) + "\n" if arguments.scans else ""
         inputs = held_out(arguments, program, noisy.SHAPES)
         write(out, "noisy.md", drawn + noisy.text(noisy.evaluate(inputs), inputs.shapes))
+    elif arguments.command == "splats":
+        runs = splats.evaluate(held_out(arguments, program, splats.SHAPES), arguments.seeds, arguments.steps)
+        write(out, "splats.md", splats.text(runs))
     elif arguments.command == "pictures":
         for view in pictures.views(arguments.names):
             picture = pictures.draw(program, view, arguments.scans, out)

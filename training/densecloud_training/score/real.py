@@ -129,13 +129,19 @@ def by_lines(line: np.ndarray, place: np.ndarray) -> Thinning:
     return lambda _: kept
 
 
-def midpoints(kept: np.ndarray) -> np.ndarray:
-    """The points, and the middles between each and its nearest ones, those of the very nearest first."""
+def midpoint_pairs(kept: np.ndarray) -> np.ndarray:
+    """[m,2]: the pairs of each point and its nearest ones, those of the very nearest first; with the points themselves
+    RATIO times as many."""
     neighbours = cKDTree(kept).query(kept, JOINED + 1)[1][:, 1:]
     own = np.arange(len(kept))
     pairs = np.concatenate([np.sort(np.stack([own, theirs], 1), 1) for theirs in neighbours.T])
     _, first = np.unique(pairs, axis=0, return_index=True)
-    pairs = pairs[np.sort(first)][: len(kept) * (RATIO - 1)]
+    return pairs[np.sort(first)][: len(kept) * (RATIO - 1)]
+
+
+def midpoints(kept: np.ndarray) -> np.ndarray:
+    """The points, and the middles between each and its nearest ones."""
+    pairs = midpoint_pairs(kept)
     return np.concatenate([kept, (kept[pairs[:, 0]] + kept[pairs[:, 1]]) / 2])
 
 
