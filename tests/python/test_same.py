@@ -104,6 +104,9 @@ def test_what_was_cut_is_no_longer_the_file(tmp_path):
     cloud = densecloud.read(path)
     assert "input_sha256" in densecloud.upsample(cloud).provenance
     assert "input_sha256" not in densecloud.upsample(cloud[:300]).provenance
+    dense = densecloud.upsample(cloud)
+    dense.points[0] += 0.01
+    assert "input_sha256" not in densecloud.upsample(dense).provenance, "no file has a result"
     with pytest.raises(ValueError, match="read-only"):
         cloud.points[0] = 0
 

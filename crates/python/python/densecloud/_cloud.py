@@ -96,6 +96,10 @@ class Cloud:
             while name in self._attributes:
                 name += "_"
             self._attributes[name] = _numbers(name, column, len(points))
+        # Its file is named in results that are made of it.
+        if origin.sha256 is not None:
+            for array in (self._points, *self._attributes.values()):
+                array.flags.writeable = False
 
     @property
     def points(self) -> NDArray[np.float64]:
@@ -280,9 +284,6 @@ def read_cloud(source: str | os.PathLike[str] | bytes, pairs: list[tuple[str, st
         parts = _densecloud.read(os.fspath(source), pairs)
     cloud = Cloud.__new__(Cloud)
     cloud._take(*parts)
-    # Its file is named in results that are made of it.
-    for array in (cloud._points, *cloud._attributes.values()):
-        array.flags.writeable = False
     warn(cloud.warnings)
     return cloud
 
@@ -291,7 +292,8 @@ def result(parts: tuple[Any, Any, _densecloud.Origin, _densecloud.Report], confi
     """The result that the arrays of an upsampling are."""
     points, columns, origin, report = parts
     made = Result.__new__(Result)
-    made._take(points, columns, origin)
+    # No file has it yet.
+    made._take(points, columns, origin.changed())
     made._report = report
     # What is added last.
     made._confidence = list(made._attributes)[-1] if confidence else None

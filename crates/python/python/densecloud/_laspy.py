@@ -37,7 +37,13 @@ def parts_of(las: Any) -> Parts | None:
     if not isinstance(las, laspy.LasData):
         return None
     file = io.BytesIO()
-    las.write(file, do_compress=False)
+    try:
+        las.write(file, do_compress=False)
+    except laspy.errors.LaspyException as why:
+        # It reads more versions than it writes.
+        raise InvalidInputError(
+            f"laspy writes no file of this LasData ({type(why).__name__}: {why}); `densecloud.read` reads its file"
+        ) from why
     return _densecloud.read_bytes(file.getvalue(), [])
 
 
