@@ -2,6 +2,7 @@
 
 mod addresses;
 mod batch;
+mod clean;
 mod command;
 mod completions;
 mod doors;

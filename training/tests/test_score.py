@@ -269,14 +269,18 @@ def test_cleaning_removes_strays_and_noise_across_the_surface():
     assert cleaning.roughness(smooth) < 0.4 * cleaning.roughness(points)
 
 
-def test_voxels_leave_about_as_many_points_as_asked():
-    points = plane_with_noise(2000, 0.0)
-    left = cleaning.thinned(points, 500)
-    assert 450 <= len(left) <= 500
-    assert cleaning.voxel_means(points, 10.0).tolist() == [pytest.approx(points.mean(0))]
-    ways = cleaning.variants(points)
-    assert ways["as it is"] is points
-    assert set(noisy.WAYS_DRAWN) <= set(ways)
+def test_a_noisy_cloud_is_cleaned_in_each_way(tmp_path):
+    """A stand-in for the program, which copies its input."""
+    script = tmp_path / "program"
+    script.write_text('#!/bin/sh\nset -e\n[ "$1" = clean ]\ncp "$2" "$3"\necho "$@" >> "$0.log"\n')
+    script.chmod(0o755)
+    cloud = tmp_path / "cloud.xyz"
+    inputs.write_points(cloud, plane_with_noise(200, 0.01))
+    files = noisy.cleaned(Program(str(script)), cloud, tmp_path)
+    assert set(files) == {*noisy.WAYS, noisy.LIBRARY} >= set(noisy.WAYS_DRAWN)
+    assert len({*files.values()}) == len(files)
+    calls = (tmp_path / "program.log").read_text().splitlines()
+    assert len(calls) == len(noisy.WAYS) - 1 and calls[1].endswith("--quiet --smooth")
 
 
 def test_strays_are_added_in_the_box():

@@ -7,6 +7,9 @@
 //! | [`estimate_normals`] | normals by PCA | O(n (k + log n)) |
 //! | [`SurfaceDistance`] | distance to a mesh | build O(t log t), query about O(log t) |
 //! | [`poisson_disk`], [`uniform`] | points on a triangle mesh | O(n log n), O(n log t) |
+//! | [`lone`], [`small_groups`], [`sparse`] | outliers | O(n log n) |
+//! | [`smooth`] | denoising, where there is noise | O(n (k + log n)) |
+//! | [`one_a_voxel`], [`spaced`] | fewer points | O(n log n), O(n) |
 //! | [`Partition`] | space cut into boxes of as many points each | O(n log cells) |
 //! | [`Mesh`], [`shape`] | triangle meshes, and some built in | |
 //! | [`Rng`] | the random numbers of all of this, fixed for good | |
@@ -16,6 +19,7 @@
 //! from outside drops or refuses the others first. Indices have 32 bits: what takes points takes up to [`MAX_POINTS`]
 //! of them, and panics above; who reads points from outside asks [`check_count`] first.
 
+mod around;
 mod axis;
 mod cells;
 mod farthest;
@@ -24,12 +28,15 @@ mod limit;
 mod mesh;
 mod mls;
 mod normals;
+mod outliers;
 mod partition;
 mod plane;
 mod poisson_disk;
 mod random;
 mod shapes;
+mod smooth;
 mod surface_distance;
+mod thin;
 mod uniform;
 
 pub use axis::common_axis;
@@ -41,10 +48,13 @@ pub use mesh::{Mesh, MeshError};
 pub use mls::project_to_surface;
 pub use normals::estimate_normals;
 pub use normals::{normal, normals_of_four};
+pub use outliers::{far, lone, small_groups, sparse};
 pub use partition::{NoPartition, Partition, Split};
 pub use plane::{Plane, quadratic_residual};
 pub use poisson_disk::poisson_disk;
 pub use random::Rng;
 pub use shapes::{SHAPES, shape};
+pub use smooth::{Smoothed, Smoothing, smooth};
 pub use surface_distance::SurfaceDistance;
+pub use thin::{one_a_voxel, spaced};
 pub use uniform::{SampleError, uniform};

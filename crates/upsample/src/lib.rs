@@ -42,6 +42,7 @@
 //! deadlines; over the network by `densecloud-server`.
 
 pub mod attributes;
+pub mod clean;
 mod options;
 mod outline;
 mod parameters;

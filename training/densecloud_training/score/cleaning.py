@@ -1,6 +1,6 @@
-"""What to do with a noisy scan before upsampling: without strays, onto local planes, one mean a voxel."""
+"""What libraries have for a noisy scan, as a control: statistical outlier removal, and points onto local planes."""
 
-from typing import Dict, Tuple
+from typing import Tuple
 
 import numpy as np
 import torch
@@ -49,35 +49,3 @@ def above_planes(points: np.ndarray, k: int) -> Tuple[np.ndarray, np.ndarray]:
     spread = around - middle[:, None]
     normals = np.linalg.eigh(np.einsum("nki,nkj->nij", spread, spread))[1][:, :, 0]
     return np.einsum("ni,ni->n", points - middle, normals), normals
-
-
-def voxel_means(points: np.ndarray, size: float) -> np.ndarray:
-    """One point for each occupied cube of a grid: the mean of those in it."""
-    cells = np.floor((points - points.min(0)) / size).astype(np.int64)
-    _, cell, counts = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
-    sums = np.zeros((len(counts), 3))
-    np.add.at(sums, cell.reshape(-1), points)
-    return sums / counts[:, None]
-
-
-def thinned(points: np.ndarray, count: int) -> np.ndarray:
-    """Voxel means with the size of voxels that leaves about `count` points."""
-    low, high = 0.0, float(np.ptp(points, axis=0).max())
-    for _ in range(24):
-        middle = (low + high) / 2
-        low, high = (middle, high) if len(voxel_means(points, middle)) > count else (low, middle)
-    return voxel_means(points, high)
-
-
-def variants(points: np.ndarray, share: float = 0.25) -> Dict[str, np.ndarray]:
-    """The ways that are compared, from nothing to everything; voxels leave `share` of the points."""
-    calm = without_strays(points)
-    flat = onto_planes(calm)
-    count = round(share * len(points))
-    return {
-        "as it is": points,
-        "strays removed": calm,
-        "strays removed, voxel means": thinned(calm, count),
-        "strays removed, onto planes": flat,
-        "strays removed, onto planes, voxel means": thinned(flat, count),
-    }

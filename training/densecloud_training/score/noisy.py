@@ -2,12 +2,12 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Dict, List
+from typing import Dict, List, Optional
 
 import numpy as np
 
 from ..prepare import read_points
-from .cleaning import roughness, variants
+from .cleaning import onto_planes, roughness, without_strays
 from .inputs import Inputs, write_points
 from .pictures import RATIO, View, beside, find_scan
 from .program import Program
@@ -17,7 +17,7 @@ from .table import markdown, plain, thousandths
 
 POINTS = 8192
 POINTS_OUT = 32768
-NOISE = (0.01, 0.02, 0.04)
+NOISE = (0.005, 0.01, 0.02, 0.04)
 # One of each kind of held-out shape: statue, organic, mechanical, thin.
 SHAPES = ("tds_plato", "cgal_bull", "vtk_gears", "ycb_scissors")
 # Share of points added that lie anywhere in the bounding box.
@@ -27,7 +27,17 @@ STRAYS = 0.01
 VIEW = View("pcl_table_scene_mug_stereo_textured", "0,-30", "y", low=(0.0, 0.0, 0.6), size="400x330")
 # Of the scan's points so many are used: more would be finer than its noise.
 SCAN_POINTS = 20_000
-WAYS_DRAWN = ("as it is", "strays removed, onto planes", "strays removed, onto planes, voxel means")
+# The program's `clean`, with these options; none for a cloud as it is.
+WAYS: Dict[str, Optional[List[str]]] = {
+    "as it is": None,
+    "clean": [],
+    "clean --smooth": ["--smooth"],
+    "clean --smooth bilateral": ["--smooth=bilateral"],
+    "clean --smooth wlop": ["--smooth=wlop"],
+}
+# What point cloud libraries have: statistical outlier removal, and each point onto the plane of its 32 nearest.
+LIBRARY = "statistical outlier removal, onto planes"
+WAYS_DRAWN = ("as it is", "clean --smooth")
 
 
 @dataclass(frozen=True)
@@ -47,6 +57,22 @@ def with_strays(points: np.ndarray, share: float, seed: int) -> np.ndarray:
     return np.concatenate([points, strays])
 
 
+def rows(file: Path) -> np.ndarray:
+    """The points [n,3] of a text file."""
+    return np.loadtxt(file, ndmin=2)[:, :3]
+
+
+def cleaned(program: Program, cloud: Path, folder: Path) -> Dict[str, Path]:
+    """The cloud after each way of cleaning it."""
+    files = {"as it is": cloud, LIBRARY: folder / f"{cloud.stem}-library.xyz"}
+    write_points(files[LIBRARY], onto_planes(without_strays(rows(cloud))))
+    for number, (way, options) in enumerate(WAYS.items()):
+        if options is not None:
+            files[way] = folder / f"{cloud.stem}-{number}.xyz"
+            program.run("clean", cloud, files[way], "--quiet", *options)
+    return files
+
+
 def evaluate(inputs: Inputs) -> List[Result]:
     """Cleans, upsamples to the same number of points, and scores."""
     wanted = inputs.references(POINTS_OUT)
@@ -54,15 +80,16 @@ def evaluate(inputs: Inputs) -> List[Result]:
     for noise in NOISE:
         given = inputs.sampled(POINTS, noise=noise)
         sizes: Dict[str, List[int]] = {}
+        folder = inputs.out / "noisy" / f"{noise:g}"
+        folder.mkdir(parents=True, exist_ok=True)
         for number, shape in enumerate(inputs.shapes):
-            cloud = with_strays(read_points(given / f"{shape}.ply"), STRAYS, number)
-            for way, cleaned in variants(cloud).items():
-                sizes.setdefault(way, []).append(len(cleaned))
+            cloud = folder / f"{shape}.xyz"
+            write_points(cloud, with_strays(read_points(given / f"{shape}.ply"), STRAYS, number))
+            for way, file in cleaned(inputs.program, cloud, folder).items():
+                sizes.setdefault(way, []).append(len(rows(file)))
                 dense = dense_folder(inputs, noise, way)
                 dense.mkdir(parents=True, exist_ok=True)
-                sparse = dense.parent / f"{shape}.xyz"
-                write_points(sparse, cleaned)
-                inputs.program.upsample(sparse, dense / f"{shape}.ply", "--points", POINTS_OUT)
+                inputs.program.upsample(file, dense / f"{shape}.ply", "--points", POINTS_OUT)
         for way, counts in sizes.items():
             dense = dense_folder(inputs, noise, way)
             report = inputs.program.score(dense, wanted, inputs.meshes, inputs.shapes)
@@ -104,13 +131,13 @@ def draw(program: Program, scans: Path, out: Path, view: View = VIEW) -> str:
     whole = crop(read_scan(find_scan(scans, view.scan)), view.low, view.high)
     random = np.random.default_rng(0)
     points = whole[np.sort(random.permutation(len(whole))[:SCAN_POINTS])]
-    ways = variants(points)
-    clouds, rough = [], [f"in the scan {roughness(points):.3g}"]
+    scan = folder / f"{view.scan}.xyz"
+    write_points(scan, points)
+    ways = cleaned(program, scan, folder)
+    clouds, rough = [scan], [f"in the scan {roughness(points):.3g}"]
     for number, way in enumerate(WAYS_DRAWN):
-        sparse, dense = folder / f"{view.scan}-{number}.xyz", folder / f"{view.scan}-{number}.ply"
-        write_points(sparse, ways[way])
-        clouds += [sparse] if number == 0 else []
-        clouds.append(program.upsample(sparse, dense, "--points", RATIO * len(points)))
+        dense = folder / f"{view.scan}-{number}.ply"
+        clouds.append(program.upsample(ways[way], dense, "--points", RATIO * len(points)))
         rough.append(f"{way} {roughness(read_points(dense)):.3g}")
     picture = beside(program, clouds, view, out)
     return f"{picture.name}: root mean square distance from the plane of 16 neighbours: {'; '.join(rough)}.\n"

@@ -2,6 +2,7 @@
 //!
 //! Exit codes: 0 done, 1 the work failed, 64 the command or a setting was wrong (`EX_USAGE`).
 
+mod clean;
 mod completions;
 mod connection;
 mod data_folder;
@@ -81,6 +82,7 @@ struct Arguments {
 enum Command {
     Upsample(Box<upsample::UpsampleArgs>),
     Tiles(tiles::TilesArgs),
+    Clean(Box<clean::CleanArgs>),
     Inspect(inspect::InspectArgs),
     Serve(Box<serve_args::ServeArgs>),
     Worker(Box<worker::WorkerArgs>),
@@ -162,6 +164,7 @@ fn warn(warnings: &[String], quiet: bool) {
 
 fn done_by(command: Command, matches: &ArgMatches) -> Result<(), CliError> {
     match command {
+        Command::Clean(args) => clean::run(&args),
         Command::Inspect(args) => inspect::run(&args),
         Command::Render(args) => render::run(&args),
         Command::Report(args) => report::run(&args),

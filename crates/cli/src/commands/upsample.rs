@@ -11,6 +11,7 @@ use densecloud_engine::{EngineError, Outcome, Pending, ProgressHandle, StageTime
 use densecloud_tiles::Input;
 use indicatif::{ProgressBar, ProgressStyle};
 
+use super::clean::Before;
 use super::engine_args::EngineArgs;
 use super::options::{GOALS, OptionArgs};
 use super::tile_args::TileArgs;
@@ -53,6 +54,11 @@ pub(super) struct UpsampleArgs {
     #[command(flatten)]
     pub(super) tiles: TileArgs,
 
+    /// Clean the cloud first, as `densecloud clean` does
+    #[arg(long, value_enum, value_name = "STEPS", num_args = 0..=1, require_equals = true,
+        default_missing_value = "outliers", conflicts_with = "server")]
+    clean: Option<Before>,
+
     /// Write a page that shows the result beside the input, an HTML file: as `densecloud report` does
     #[arg(long, value_name = "HTML", conflicts_with = "server")]
     report: Option<PathBuf>,
@@ -86,12 +92,16 @@ pub(super) fn run(args: &UpsampleArgs) -> Result<(), CliError> {
     let reader = files::open(&args.input, &options.reading)?;
     let tile_points = args.tiles.size.points(&options, reader.header())?;
     let read = Input::read(reader, tile_points).map_err(|why| CliError::file(&args.input, why))?;
-    let (cloud, header) = match read {
+    let (mut cloud, header) = match read {
         Input::Small(cloud, header) => (*cloud, header),
         Input::Large(_) if args.report.is_some() => return Err(no_report(&args.input)),
+        Input::Large(_) if args.clean.is_some() => return Err(unclean(&args.input)),
         Input::Large(large) => return tiled::run(args, &options, *large, tile_points, model, start),
     };
     let before = args.report.as_ref().map(|page| (page, cloud.clone(), header.format));
+    if let Some(before) = args.clean {
+        before.clean(&mut cloud, &args.input, args.quiet)?;
+    }
     let prepared = Prepared::new(cloud, header.format, options, &model.name());
     let Prepared { request, mut report } = prepared.map_err(|error| refused(&args.input, &error))?;
     let warn = |warnings: &[String]| super::warn(warnings, args.quiet);
@@ -185,6 +195,15 @@ fn no_report(input: &Path) -> CliError {
         input,
         "it is worked on in tiles, and --report needs all of it at once; upsample it without, then make a report of a \
          part: densecloud report IN OUT -o HTML --bounds X0,Y0,X1,Y1",
+    )
+}
+
+/// Cleaning looks at a whole cloud, and this one is too large for that.
+fn unclean(input: &Path) -> CliError {
+    CliError::file(
+        input,
+        "it is worked on in tiles, and --clean needs all of it at once; clean it first (densecloud clean IN OUT), and upsample what \
+         that makes",
     )
 }
 
