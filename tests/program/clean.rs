@@ -28,7 +28,10 @@ fn what_is_no_surface_is_left_out_and_the_rest_stays_as_it_is() {
     let path = within(&folder);
     std::fs::write(path("scan.xyz"), scan()).expect("a file");
     let told = said(&run(&["clean", &path("scan.xyz"), &path("clean.xyz")]));
-    assert!(told.ends_with("2003 -> 2000 points: 1 not finite, 1 duplicates, 1 alone or beside a surface"), "{told}");
+    assert!(
+        told.ends_with("2003 -> 2000 points: 1 not finite, 1 duplicates, 1 alone or beside a surface"),
+        "{told}"
+    );
     let (before, after) = (scan(), read_to_string(path("clean.xyz")).expect("text"));
     let rows = |text: &str| -> Vec<Vec<f64>> {
         let rows = text.lines().filter(|line| line.starts_with("50") || line.starts_with("49"));
