@@ -162,6 +162,16 @@ def test_laspy_that_cannot_be_written_is_refused_and_what_was_cannot_be_changed(
         densecloud.Cloud(las)
 
 
+def test_laspy_of_a_copc_is_what_its_file_is(tmp_path):
+    laspy = library("laspy")
+    densecloud.Cloud(las_of(laspy)).write(tmp_path / "a.copc.laz")
+    las = laspy.read(tmp_path / "a.copc.laz")
+    cloud, there = densecloud.Cloud(las), densecloud.read(tmp_path / "a.copc.laz")
+    assert np.array_equal(cloud.points, there.points) and cloud.crs == there.crs
+    assert list(cloud.attributes) == list(there.attributes)
+    assert any(record.user_id == "copc" for record in las.vlrs), "it is as it was"
+
+
 def test_laspy_of_arrays_has_a_scale_that_is_fine_enough():
     laspy = library("laspy")
     made = densecloud.Cloud(POINTS, colors=COLORS, attributes={"heat": np.arange(300, dtype="f4")}).to_laspy()

@@ -14,6 +14,7 @@
 
 from __future__ import annotations
 
+import copy
 import io
 import os
 import tempfile
@@ -38,13 +39,24 @@ def parts_of(las: Any) -> Parts | None:
         return None
     file = io.BytesIO()
     try:
-        las.write(file, do_compress=False)
-    except laspy.errors.LaspyException as why:
+        _without_index(las).write(file, do_compress=False)
+    except (laspy.errors.LaspyException, NotImplementedError) as why:
         # It reads more versions than it writes.
         raise InvalidInputError(
             f"laspy writes no file of this LasData ({type(why).__name__}: {why}); `densecloud.read` reads its file"
         ) from why
     return _densecloud.read_bytes(file.getvalue(), [])
+
+
+def _without_index(las: Any) -> Any:
+    """The same without COPC's records, which are of the order in a file, and which laspy does not write."""
+    if all(record.user_id != "copc" for record in las.vlrs):
+        return las
+    header = copy.deepcopy(las.header)
+    header.vlrs[:] = [record for record in header.vlrs if record.user_id != "copc"]
+    if header.evlrs is not None:
+        header.evlrs[:] = [record for record in header.evlrs if record.user_id != "copc"]
+    return type(las)(header, las.points)
 
 
 def points(cloud: Cloud) -> Any:
