@@ -305,4 +305,4 @@ def test_the_table_pairs_scenes_and_reads_equal_time_off_the_curve():
             runs.append(curve(scene, arm, densify, 20 + gain, seconds))
     found = next(line for line in experiment.text(runs).splitlines() if line.startswith("| no | densecloud"))
     assert "| 20.50 ± 1.50 / 0.800 ± 0.000 | +0.50 ± 1.50, 1 of 2 | 15.25 ± 0.75" in found
-    assert "| no | sparse | 5 | 10 | 11.00 | 13.00 | 20.00 ±" in experiment.text(runs)
+    assert "| no | sparse | 5 | 10.0 | 11.00 | 13.00 | 20.00 ±" in experiment.text(runs)

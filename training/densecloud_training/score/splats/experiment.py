@@ -161,8 +161,10 @@ def evaluate(inputs: Inputs, seeds: int, steps: int) -> List[Run]:
 
 
 def gains(scores: np.ndarray, base: np.ndarray) -> str:
-    """Mean and spread of the differences of PSNR, and how many are above zero."""
+    """Mean and spread of the differences of PSNR, and how many are above zero; nothing for the base itself."""
     more = (scores - base)[:, 0]
+    if not more.any():
+        return "-"
     return f"{more.mean():+.2f} ± {more.std():.2f}, {(more > 0).sum()} of {len(more)}"
 
 
@@ -180,7 +182,7 @@ def row(runs: List[Run], base: List[Run]) -> List[str]:
     curve = [plain(np.mean([r.at_step(share * r.checks[-1].step)[0] for r in runs]), 2) for share in SHOWN[:-1]]
     cells = [
         f"{count:,.0f}",
-        f"{seconds:.0f}",
+        f"{seconds:.1f}",
         *curve,
         both(ends),
         gains(ends, base_ends),
