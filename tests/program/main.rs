@@ -10,6 +10,7 @@ mod faults;
 mod hostile;
 mod kills;
 mod log;
+mod many;
 mod meanings;
 mod outputs;
 mod regions;

@@ -280,6 +280,21 @@ pub fn upsample(
     cascade(input, (target, among), &Run { options, runner, observer, part: None }, &mut globals)
 }
 
+/// Whether [`upsample`] would begin, on a runner of this shape: what it refuses before any work. O(n log n).
+///
+/// # Errors
+/// As of [`upsample`], but for those of the runner.
+pub fn check(
+    positions: &[Position],
+    target: Target,
+    options: &CascadeOptions,
+    shape: UnitShape,
+) -> Result<(), CascadeError> {
+    options.check()?;
+    let Input { points, finite, .. } = Input::prepare(positions)?;
+    Plan::new(target, options.quality, finite, points.len(), shape).map(drop)
+}
+
 /// Runs all levels. Takes the statistics that `globals` has, and fills in the others.
 fn cascade(
     input: Input,

@@ -258,6 +258,16 @@ impl Engine {
         Ok((cost, clock.now() - start))
     }
 
+    /// What a request takes. O(points in).
+    ///
+    /// # Errors
+    /// [`EngineError::Cascade`] when the target is impossible for this many points.
+    pub fn cost(request: &Request) -> Result<Cost, EngineError> {
+        let finite =
+            request.cloud.positions.iter().filter(|p| p.iter().all(|c| c.is_finite())).count() as u64;
+        Ok(Cost::new(finite, request.target.points_out(finite)?).times(request.effort()))
+    }
+
     /// Queues a request of the only client there is, without a deadline. Returns at once; cost O(points in).
     ///
     /// # Errors
@@ -304,10 +314,7 @@ impl Engine {
         request: Request,
         reserved: Option<Permit>,
     ) -> Result<Pending, EngineError> {
-        let finite =
-            request.cloud.positions.iter().filter(|p| p.iter().all(|c| c.is_finite())).count() as u64;
-        let cost = Cost::new(finite, request.target.points_out(finite)?);
-        let cost = cost.times(request.effort());
+        let cost = Self::cost(&request)?;
         let permit = match reserved {
             Some(mut permit) => {
                 permit.resize(caller, cost)?;

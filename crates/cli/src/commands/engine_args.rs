@@ -1,5 +1,6 @@
 //! Options of every command that runs the cascade.
 
+use std::cell::OnceCell;
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -45,6 +46,43 @@ impl EngineArgs {
     pub(super) fn engine(&self, model: Arc<Model>) -> Result<Engine, CliError> {
         let config = EngineConfig { threads: self.threads, concurrency: 1, ..EngineConfig::default() };
         start(model, || config)
+    }
+}
+
+/// A model and an engine over it, made when they are first asked for, and kept for all inputs of a command.
+pub(super) struct Machine<'a> {
+    args: &'a EngineArgs,
+    model: OnceCell<Arc<Model>>,
+    engine: OnceCell<Engine>,
+    measured: OnceCell<()>,
+}
+
+impl<'a> Machine<'a> {
+    pub(super) fn new(args: &'a EngineArgs) -> Self {
+        Self { args, model: OnceCell::new(), engine: OnceCell::new(), measured: OnceCell::new() }
+    }
+
+    pub(super) fn model(&self) -> Result<Arc<Model>, CliError> {
+        once(&self.model, || self.args.model()).cloned()
+    }
+
+    pub(super) fn engine(&self) -> Result<&Engine, CliError> {
+        once(&self.engine, || self.args.engine(self.model()?))
+    }
+
+    /// The engine, when it knows how fast this machine is.
+    pub(super) fn measured(&self) -> Result<&Engine, CliError> {
+        let engine = self.engine()?;
+        once(&self.measured, || engine.warm_up().map_err(|why| CliError::Failed(why.to_string())))?;
+        Ok(engine)
+    }
+}
+
+/// What a cell has, made if need be.
+fn once<T>(cell: &OnceCell<T>, make: impl FnOnce() -> Result<T, CliError>) -> Result<&T, CliError> {
+    match cell.get() {
+        Some(made) => Ok(made),
+        None => make().map(|made| cell.get_or_init(|| made)),
     }
 }
 

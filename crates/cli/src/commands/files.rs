@@ -131,6 +131,33 @@ pub(super) fn is_kept(path: &Path) -> bool {
     matches!(Output::of(path), Ok(Output::File(_) | Output::Object(..)))
 }
 
+/// Whether an output is standard output.
+pub(super) fn is_stdout(path: &Path) -> bool {
+    matches!(Output::of(path), Ok(Output::Stdout))
+}
+
+/// Whether there is a file or an object of this name; where nobody can tell, there is.
+pub(super) fn is_there(path: &Path) -> bool {
+    match Output::of(path) {
+        Ok(Output::Object(objects, name)) => {
+            !matches!(objects.open(&name), Err(why) if why.kind() == ErrorKind::NotFound)
+        }
+        Ok(Output::File(file)) => file.symlink_metadata().is_ok(),
+        _ => false,
+    }
+}
+
+/// Makes the folder that an output lies in.
+pub(super) fn make_folder_of(path: &Path) -> Result<(), CliError> {
+    match Output::of(path)? {
+        Output::File(file) => match file.parent().filter(|folder| !folder.as_os_str().is_empty()) {
+            Some(folder) => fs::create_dir_all(folder).map_err(|why| CliError::file(folder, why)),
+            None => Ok(()),
+        },
+        _ => Ok(()),
+    }
+}
+
 /// Writes an output with `encode`, `-` to standard output. A file is as [`write_file`] makes it, and an object is there when all of
 /// it is.
 pub(super) fn write(

@@ -2,13 +2,16 @@
 //!
 //! Exit codes: 0 done, 1 the work failed, 64 the command or a setting was wrong (`EX_USAGE`).
 
+mod batch;
 mod clean;
 mod completions;
 mod connection;
 mod data_folder;
+mod dry_run;
 mod engine_args;
 mod error;
 mod evaluate;
+mod events;
 #[cfg(test)]
 mod examples;
 mod files;
@@ -80,7 +83,7 @@ struct Arguments {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    Upsample(Box<upsample::UpsampleArgs>),
+    Upsample(Box<batch::BatchArgs>),
     Tiles(tiles::TilesArgs),
     Clean(Box<clean::CleanArgs>),
     Inspect(inspect::InspectArgs),
@@ -170,7 +173,7 @@ fn done_by(command: Command, matches: &ArgMatches) -> Result<(), CliError> {
         Command::Report(args) => report::run(&args),
         Command::View(args) => view::run(&args),
         Command::Sample(args) => sample::run(&args),
-        Command::Upsample(args) => upsample::run(&args),
+        Command::Upsample(args) => batch::run(&args),
         Command::Tiles(args) => tiles::run(&args),
         Command::Evaluate(args) => evaluate::run(&args),
         // To serve, it never comes back here.

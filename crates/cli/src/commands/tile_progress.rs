@@ -1,12 +1,15 @@
 //! How far a work in tiles is, on a terminal.
 
 use std::io::{self, IsTerminal};
+use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::time::Instant;
 
 use densecloud_cascade::{Observer, Stage};
 use densecloud_tiles::{Step, Watch};
 use indicatif::{ProgressBar, ProgressStyle};
+
+use super::events::Events;
 
 /// Steps of a bar for each tile.
 const STEPS: f64 = 1000.0;
@@ -24,13 +27,32 @@ struct State {
     /// The sizes after each level of the tile at hand.
     sizes: Vec<usize>,
     level: usize,
+    /// Where progress is told as events, of which input, and the share that was told last.
+    events: Events,
+    input: PathBuf,
+    told: f64,
 }
 
 impl TileProgress {
     pub(super) fn new(quiet: bool) -> Self {
         let is_shown = !quiet && io::stderr().is_terminal();
         let bar = if is_shown { ProgressBar::new(0) } else { ProgressBar::hidden() };
-        Self { bar, state: Mutex::new(State { start: Instant::now(), tile: 0, sizes: Vec::new(), level: 0 }) }
+        let state = State {
+            start: Instant::now(),
+            tile: 0,
+            sizes: Vec::new(),
+            level: 0,
+            events: Events::default(),
+            input: PathBuf::new(),
+            told: 0.0,
+        };
+        Self { bar, state: Mutex::new(state) }
+    }
+
+    /// The same, which tells events of this input.
+    pub(super) fn told(self, events: Events, input: &Path) -> Self {
+        self.with(|state, _| (state.events, state.input) = (events, input.to_owned()));
+        self
     }
 
     pub(super) fn finish(&self) {
@@ -52,12 +74,14 @@ impl TileProgress {
 
 impl State {
     /// Shows the share of the tile that is done, by the points of its levels.
-    fn show(&self, bar: &ProgressBar, share: f64) {
+    fn show(&mut self, bar: &ProgressBar, share: f64) {
         let all = self.sizes.iter().sum::<usize>().max(1) as f64;
         let before = self.sizes.iter().take(self.level).sum::<usize>() as f64;
         let own = self.sizes.get(self.level).map_or(0.0, |size| *size as f64);
         let done = f64::from(self.tile) + (before + share * own) / all;
         bar.set_position((STEPS * done) as u64);
+        let tiles = bar.length().unwrap_or_default() as f64 / STEPS;
+        self.events.progress(&self.input, done / tiles.max(1.0), &mut self.told);
     }
 }
 

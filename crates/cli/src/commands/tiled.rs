@@ -8,6 +8,7 @@ use densecloud::{Options, Report};
 use densecloud_backends::Model;
 use densecloud_tiles::{Folder, Join, Large, TilesError, Tiling, Work, plan};
 
+use super::events::Made;
 use super::tile_progress::TileProgress;
 use super::upsample::{UpsampleArgs, refused, write_provenance};
 use super::{CliError, files};
@@ -19,7 +20,7 @@ pub(super) fn run(
     tile_points: u64,
     model: Arc<Model>,
     start: Instant,
-) -> Result<(), CliError> {
+) -> Result<Made, CliError> {
     let (parent, name) = (args.tiles.parent(), model.name());
     let fail = |why| failed(&args.input, why);
     let folder = if args.resume {
@@ -27,7 +28,8 @@ pub(super) fn run(
     } else {
         Folder::temporary(&parent).map_err(fail)?
     };
-    let (runner, progress) = (args.engine.runner(model)?, TileProgress::new(args.quiet));
+    let (runner, progress) =
+        (args.engine.runner(model)?, TileProgress::new(args.quiet).told(args.events, &args.input));
     let work = Work { options, model: &name, runner: &*runner, tile_points, watch: &progress };
     let tiling = match folder.has_plan() {
         true => Tiling::resumed(input, &work, &folder),
@@ -48,7 +50,7 @@ pub(super) fn run(
         let (from, to, seconds) = (report.points_in, report.points_out, start.elapsed().as_secs_f64());
         super::note(&format!("{from} -> {to} points in {seconds:.1} s ({tiles} tiles)"));
     }
-    Ok(())
+    Ok(Made { tiles: Some(tiles as usize), ..Made::of(&report) })
 }
 
 /// Runs the tiles, and writes the result as it comes.

@@ -1,4 +1,4 @@
-//! `densecloud upsample`: a file in, a denser file out.
+//! `densecloud upsample` of one file: a denser file out.
 
 use std::io::{self, IsTerminal};
 use std::path::{Path, PathBuf};
@@ -12,29 +12,28 @@ use densecloud_tiles::Input;
 use indicatif::{ProgressBar, ProgressStyle};
 
 use super::clean::Before;
-use super::engine_args::EngineArgs;
+use super::engine_args::{EngineArgs, Machine};
+use super::events::{Events, Made};
 use super::options::{GOALS, OptionArgs};
 use super::tile_args::TileArgs;
-use super::{CliError, files, places, report, tiled, upsample_remote};
+use super::{CliError, files, report, tiled, upsample_remote};
 use crate::report::Making;
 
-/// Make a cloud denser.
-#[derive(Debug, Args)]
-#[command(group = ArgGroup::new(GOALS), after_help = "\
-Examples:
-  densecloud upsample scan.ply dense.ply --ratio 4
-  densecloud upsample scan.xyz dense.ply --points 1000000
-  densecloud upsample scan.laz dense.ply --spacing 0.05 --keep-input
-  densecloud upsample scan.ply dense.ply --ratio 8 --server http://big-machine:8080
-  cat scan.ply | densecloud upsample - - --ratio 2.5 > dense.ply")]
+/// A work on one input, and all options of it.
+#[derive(Debug, Clone, Args)]
+#[command(group = ArgGroup::new(GOALS))]
 pub(super) struct UpsampleArgs {
-    /// The sparse cloud: PLY, LAS, LAZ, COPC, E57, PCD, NumPy, OFF, OBJ or text, recognised by its content; `-` for
-    /// standard input, s3://bucket/name for an object
+    /// The sparse cloud
+    #[arg(skip)]
     pub(super) input: PathBuf,
 
-    /// The dense cloud: .ply, .las, .laz, .copc.laz, .e57, .pcd, .npy or text such as .xyz (without an extension, and of
-    /// text with its own one: as the input); `-` for standard output, s3://bucket/name for an object
+    /// The dense cloud
+    #[arg(skip)]
     pub(super) output: PathBuf,
+
+    /// Where it is told how the work goes
+    #[arg(skip)]
+    pub(super) events: Events,
 
     #[command(flatten)]
     pub(super) options: OptionArgs,
@@ -45,7 +44,7 @@ pub(super) struct UpsampleArgs {
 
     /// Have a server do the work; it has its own model and threads
     #[arg(long, value_name = "URL")]
-    server: Option<String>,
+    pub(super) server: Option<String>,
 
     /// The key that opens the server, where it asks for one
     #[arg(long, env = "DENSECLOUD_KEY", hide_env_values = true, value_name = "KEY")]
@@ -57,11 +56,11 @@ pub(super) struct UpsampleArgs {
     /// Clean the cloud first, as `densecloud clean` does
     #[arg(long, value_enum, value_name = "STEPS", num_args = 0..=1, require_equals = true,
         default_missing_value = "outliers", conflicts_with = "server")]
-    clean: Option<Before>,
+    pub(super) clean: Option<Before>,
 
     /// Write a page that shows the result beside the input, an HTML file: as `densecloud report` does
     #[arg(long, value_name = "HTML", conflicts_with = "server")]
-    report: Option<PathBuf>,
+    pub(super) report: Option<PathBuf>,
 
     /// Go on where a work on the same input, with the same options, was stopped or killed; what is done stays in the
     /// temporary folder for that
@@ -75,28 +74,53 @@ pub(super) struct UpsampleArgs {
 /// What is added to the name of a result whose format has no place for comments.
 pub const PROVENANCE: &str = ".provenance.txt";
 
-pub(super) fn run(args: &UpsampleArgs) -> Result<(), CliError> {
-    places::check(&[&args.input, &args.output])?;
-    let options = args.options.options()?;
+impl UpsampleArgs {
+    /// Refuses what names one file, where there are several inputs.
+    pub(super) fn refuse_one_for_all(&self) -> Result<(), CliError> {
+        match &self.report {
+            Some(_) => Err(CliError::Usage("--report is a page of one result; give one input".into())),
+            None => Ok(()),
+        }
+    }
+
+    /// Refuses what needs the whole cloud at once.
+    pub(super) fn refuse_in_tiles(&self) -> Result<(), CliError> {
+        match self {
+            Self { report: Some(_), .. } => Err(no_report(&self.input)),
+            Self { clean: Some(_), .. } => Err(unclean(&self.input)),
+            _ => Ok(()),
+        }
+    }
+
+    /// The options, with the format that the output's name asks for. Temporary files go to their folder from then on.
+    pub(super) fn settled(&self) -> Result<Options, CliError> {
+        let options = self.options.options()?;
+        let format = files::wanted_from(&self.input, &self.output, &options.reading)?;
+        self.tiles.settle()?;
+        Ok(Options { format, ..options })
+    }
+}
+
+/// Works on one input.
+pub(super) fn run(args: &UpsampleArgs, machine: &Machine<'_>) -> Result<Made, CliError> {
     if let Some(page) = &args.report {
         report::check_name(page)?;
     }
-    let format = files::wanted_from(&args.input, &args.output, &options.reading)?;
-    let options = Options { format, ..options };
+    let options = args.settled()?;
     if let Some(url) = &args.server {
         return upsample_remote::run(args, &options, url);
     }
     let start = Instant::now();
-    args.tiles.settle()?;
-    let model = args.engine.model()?;
+    let model = machine.model()?;
     let reader = files::open(&args.input, &options.reading)?;
     let tile_points = args.tiles.size.points(&options, reader.header())?;
     let read = Input::read(reader, tile_points).map_err(|why| CliError::file(&args.input, why))?;
     let (mut cloud, header) = match read {
         Input::Small(cloud, header) => (*cloud, header),
-        Input::Large(_) if args.report.is_some() => return Err(no_report(&args.input)),
-        Input::Large(_) if args.clean.is_some() => return Err(unclean(&args.input)),
-        Input::Large(large) => return tiled::run(args, &options, *large, tile_points, model, start),
+        Input::Large(large) => {
+            args.refuse_in_tiles()?;
+            return tiled::run(args, &options, *large, tile_points, model, start);
+        }
     };
     let before = args.report.as_ref().map(|page| (page, cloud.clone(), header.format));
     if let Some(before) = args.clean {
@@ -108,9 +132,8 @@ pub(super) fn run(args: &UpsampleArgs) -> Result<(), CliError> {
     warn(&report.warnings);
     let told = report.warnings.len();
     let fail = |e: EngineError| CliError::file(&args.input, e);
-    let engine = args.engine.engine(model)?;
-    let job = engine.submit(request).map_err(fail)?;
-    let outcome = wait(job, args.quiet).map_err(fail)?;
+    let job = machine.engine()?.submit(request).map_err(fail)?;
+    let outcome = wait(job, args).map_err(fail)?;
     report.complete(&outcome.made);
     warn(&report.warnings[told..]);
     files::write_cloud(
@@ -122,6 +145,12 @@ pub(super) fn run(args: &UpsampleArgs) -> Result<(), CliError> {
     )?;
     write_provenance(&report, &args.output)?;
     let (seconds, Outcome { made, stages, .. }) = (start.elapsed().as_secs_f64(), outcome);
+    let told = Made {
+        stages: self::stages(&stages)
+            .map(|(name, time)| (name.to_owned(), time.as_secs_f64().into()))
+            .collect(),
+        ..Made::of(&report)
+    };
     if let Some((page, cloud, format)) = before {
         let after = Cloud {
             positions: made.positions,
@@ -142,7 +171,7 @@ pub(super) fn run(args: &UpsampleArgs) -> Result<(), CliError> {
         let (from, to) = (report.points_in, report.points_out);
         super::note(&format!("{from} -> {to} points in {seconds:.1} s ({shares})"));
     }
-    Ok(())
+    Ok(told)
 }
 
 /// Writes where a result comes from beside it, where its format has no place for that.
@@ -162,19 +191,22 @@ pub(super) fn refused(input: &Path, error: &PrepareError) -> CliError {
     }
 }
 
-/// Waits with a progress bar on standard error if that is a terminal.
-fn wait(job: Pending, quiet: bool) -> Result<Outcome, EngineError> {
-    if quiet || !io::stderr().is_terminal() {
+/// Waits with a progress bar on standard error if that is a terminal, and tells of progress where that is wanted.
+fn wait(job: Pending, args: &UpsampleArgs) -> Result<Outcome, EngineError> {
+    let is_shown = !args.quiet && io::stderr().is_terminal();
+    if !is_shown && !args.events.0 {
         return job.wait();
     }
     let handle = job.progress_handle();
     let waiter = std::thread::spawn(move || job.wait());
-    let bar = ProgressBar::new(1000);
+    let bar = if is_shown { ProgressBar::new(1000) } else { ProgressBar::hidden() };
+    let mut told = 0.0;
     if let Ok(style) = ProgressStyle::with_template("{msg:28} [{bar:30}] {percent:>3} %  {eta} left") {
         bar.set_style(style.progress_chars("=> "));
     }
     while !waiter.is_finished() {
         show(&bar, &handle);
+        args.events.progress(&args.input, handle.progress().fraction, &mut told);
         std::thread::sleep(Duration::from_millis(50));
     }
     bar.finish_and_clear();

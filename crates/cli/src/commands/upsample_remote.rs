@@ -2,6 +2,9 @@
 
 use std::time::Instant;
 
+use serde_json::Map;
+
+use super::events::Made;
 use super::remote::{Expected, Server, Show, media_type};
 use super::upsample::{PROVENANCE, UpsampleArgs};
 use super::{CliError, files};
@@ -9,7 +12,7 @@ use densecloud::Options;
 use densecloud_formats::Format;
 
 /// Sends the input, and writes what comes back: the bytes that the work here would have written.
-pub(super) fn run(args: &UpsampleArgs, options: &Options, url: &str) -> Result<(), CliError> {
+pub(super) fn run(args: &UpsampleArgs, options: &Options, url: &str) -> Result<Made, CliError> {
     refuse_what_is_ours(args)?;
     let server = Server::new(url, args.key.as_deref())?;
     let show = Show { quiet: args.quiet };
@@ -21,9 +24,9 @@ pub(super) fn run(args: &UpsampleArgs, options: &Options, url: &str) -> Result<(
     let text = |name: &str| {
         answer.headers().get(name).and_then(|value| value.to_str().ok()).unwrap_or_default().to_owned()
     };
-    for warning in answer.headers().get_all("densecloud-warning") {
-        show.note(&format!("warning: {}", String::from_utf8_lossy(warning.as_bytes())));
-    }
+    let warnings = answer.headers().get_all("densecloud-warning").iter();
+    let warnings: Vec<_> = warnings.map(|one| String::from_utf8_lossy(one.as_bytes()).into_owned()).collect();
+    super::warn(&warnings, args.quiet);
     let (points_in, points_out) = (text("densecloud-points-in"), text("densecloud-points-out"));
     let (provenance, format) = (text("densecloud-provenance"), Format::from_media_type(media_type(&answer)));
     server.save(answer, &args.output, &show)?;
@@ -33,7 +36,15 @@ pub(super) fn run(args: &UpsampleArgs, options: &Options, url: &str) -> Result<(
     }
     let seconds = start.elapsed().as_secs_f64();
     show.note(&format!("{points_in} -> {points_out} points in {seconds:.1} s (on {url})"));
-    Ok(())
+    Ok(Made {
+        format: format.map(|format| format.to_string()).unwrap_or_default(),
+        points_in: points_in.parse().ok(),
+        points_out: points_out.parse().ok(),
+        tiles: None,
+        stages: Map::new(),
+        warnings,
+        provenance,
+    })
 }
 
 /// The command's parser refuses the other options that a server does not take; these two may come from the
