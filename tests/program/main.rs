@@ -5,6 +5,7 @@ mod batch;
 mod clean;
 mod command;
 mod completions;
+mod defaults;
 mod doors;
 mod faults;
 mod hostile;

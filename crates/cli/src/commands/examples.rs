@@ -1,9 +1,9 @@
 //! Tests of the examples in each command's help: every command has some, and each is taken as it is written. A new command
 //! needs no line here: `#[command(after_help = "Examples:\n  densecloud …")]` beside its arguments is enough.
 
-use clap::{Command, CommandFactory};
+use clap::Command;
 
-use super::Arguments;
+use super::program;
 
 /// What begins the part of the help that has them; it ends at an empty line.
 const TITLE: &str = "Examples:\n";
@@ -20,7 +20,7 @@ fn leaves(command: &Command, path: &str, found: &mut Vec<(String, Command)>) {
 
 fn commands() -> Vec<(String, Command)> {
     let mut found = Vec::new();
-    leaves(&Arguments::command(), "", &mut found);
+    leaves(&program(), "", &mut found);
     found
 }
 
@@ -71,7 +71,7 @@ fn every_command_has_examples() {
 fn every_example_is_taken_as_it_is_written() {
     for (path, command) in commands() {
         for words in examples(&command).iter().filter_map(|line| words(line)) {
-            let taken = Arguments::command().try_get_matches_from(&words);
+            let taken = program().try_get_matches_from(&words);
             if let Some(why) = taken.err().filter(clap::Error::use_stderr) {
                 panic!("an example of `{path}`, {words:?}: {why}");
             }

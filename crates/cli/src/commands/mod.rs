@@ -5,6 +5,7 @@
 mod batch;
 mod clean;
 mod completions;
+mod config;
 mod connection;
 mod data_folder;
 mod dry_run;
@@ -96,6 +97,7 @@ enum Command {
     Render(render::RenderArgs),
     Report(report::ReportArgs),
     View(view::ViewArgs),
+    Config(config::ConfigArgs),
     Completions(completions::CompletionsArgs),
     Man(man::ManArgs),
 }
@@ -141,8 +143,13 @@ fn code_of(typed: &[OsString]) -> u8 {
     }
 }
 
+/// The program's description, as all have it who read the arguments or tell of them.
+fn program() -> clap::Command {
+    settings::with_config(Arguments::command())
+}
+
 fn parse(typed: &[OsString]) -> Result<(Arguments, ArgMatches), Refused> {
-    let mut command = Arguments::command();
+    let mut command = program();
     let matches = settings::parse(&command, typed)?;
     let arguments = Arguments::from_arg_matches(&matches).map_err(|error| error.format(&mut command))?;
     Ok((arguments, matches))
@@ -179,15 +186,16 @@ fn done_by(command: Command, matches: &ArgMatches) -> Result<(), CliError> {
         // To serve, it never comes back here.
         Command::Serve(args) => {
             args.check(Role::Server)?;
-            files::print(&settings::page(&Arguments::command(), matches))
+            files::print(&settings::page(&program(), matches))
         }
         Command::Worker(worker) => {
             worker.args.check(Role::Worker)?;
-            files::print(&settings::page(&Arguments::command(), matches))
+            files::print(&settings::page(&program(), matches))
         }
         Command::Job(args) => job::run(&args),
         Command::Healthcheck(args) => healthcheck::run(&args),
-        Command::Completions(args) => completions::run(&args, Arguments::command()),
-        Command::Man(args) => man::run(&args, Arguments::command()),
+        Command::Config(args) => config::run(&args, program()),
+        Command::Completions(args) => completions::run(&args, program()),
+        Command::Man(args) => man::run(&args, program()),
     }
 }

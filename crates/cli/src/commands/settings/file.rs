@@ -9,36 +9,42 @@ use clap::{Arg, Command};
 use toml::de::{DeTable, DeValue};
 
 use super::kind::Kind;
-use super::{CliError, is_list, key};
+use super::{CliError, Settings, is_list, key};
 
 /// One line of the file that sets something.
 pub(super) struct Entry<'a> {
     pub(super) setting: &'a Arg,
     /// As it would be typed; nothing for a switch that is off.
     pub(super) typed: Vec<OsString>,
+    /// The table that it is in, or none of the server's.
+    pub(super) table: Option<String>,
+    pub(super) line: usize,
 }
 
-/// Reads the file and checks each entry by itself.
+/// A file while it is read, and what is wrong with it, each with its line.
+struct Source<'s, 'a> {
+    text: &'s str,
+    commands: &'s [Settings<'a>],
+    entries: Vec<Entry<'a>>,
+    wrong: Vec<(usize, String)>,
+}
+
+/// Reads the file, and checks each entry by itself.
 ///
 /// # Errors
 /// All that is wrong, each with its line.
-pub(super) fn read<'a>(path: &Path, settings: &[&'a Arg]) -> Result<Vec<Entry<'a>>, CliError> {
+pub(super) fn read<'a>(path: &Path, commands: &[Settings<'a>]) -> Result<Vec<Entry<'a>>, CliError> {
     let shown = path.display();
     let text = std::fs::read_to_string(path).map_err(|error| {
         CliError::Usage(format!("cannot read the settings in {shown} (--config): {error}"))
     })?;
-    let line = |at: usize| 1 + text.as_bytes().iter().take(at).filter(|&&byte| byte == b'\n').count();
+    let mut source = Source { text: &text, commands, entries: Vec::new(), wrong: Vec::new() };
     let table = DeTable::parse(&text).map_err(|error| {
         let at = error.span().map_or(0, |span| span.start);
-        CliError::Usage(format!("{shown}:{}: {}", line(at), error.message()))
+        CliError::Usage(format!("{shown}:{}: {}", source.line(at), error.message()))
     })?;
-    let (mut entries, mut wrong) = (Vec::new(), Vec::new());
-    for (name, value) in table.get_ref() {
-        match entry(name.get_ref(), value.get_ref(), settings) {
-            Ok(entry) => entries.push(entry),
-            Err(why) => wrong.push((line(name.span().start), why)),
-        }
-    }
+    source.read(table.get_ref(), None);
+    let Source { entries, mut wrong, .. } = source;
     if wrong.is_empty() {
         return Ok(entries);
     }
@@ -48,18 +54,55 @@ pub(super) fn read<'a>(path: &Path, settings: &[&'a Arg]) -> Result<Vec<Entry<'a
         // A string takes whatever is written to it.
         let _ = writeln!(told, "{shown}:{line}: {why}");
     }
-    told.push_str("`densecloud serve --print-config` without the file shows every setting");
+    told.push_str("`densecloud serve --print-config` without the file shows every setting of the server; those of other commands are \
+                   their options, in a table of the command's name: [upsample]");
     Err(CliError::Usage(told))
+}
+
+impl<'a> Source<'_, 'a> {
+    fn line(&self, at: usize) -> usize {
+        1 + self.text.as_bytes().iter().take(at).filter(|&&byte| byte == b'\n').count()
+    }
+
+    /// Reads a table of the file: that of the server's settings, which is the file itself, or a command's.
+    fn read(&mut self, table: &DeTable<'_>, command: Option<&str>) {
+        for (name, value) in table {
+            let (at, name) = (self.line(name.span().start), name.get_ref());
+            let known = |name: &str| self.commands.iter().any(|one| one.command == Some(name));
+            match value.get_ref() {
+                DeValue::Table(below) if command.is_none() && known(name) => self.read(below, Some(name)),
+                value => self.set(at, name, value, command),
+            }
+        }
+    }
+
+    fn set(&mut self, line: usize, name: &str, value: &DeValue<'_>, command: Option<&str>) {
+        let Some(known) = self.commands.iter().find(|one| one.command == command) else { return };
+        match entry(name, value, known) {
+            Ok((setting, typed)) => {
+                let table = command.map(str::to_owned);
+                self.entries.push(Entry { setting, typed, table, line });
+            }
+            Err(why) => {
+                let table = command.map(|command| format!("[{command}] ")).unwrap_or_default();
+                self.wrong.push((line, table + &why));
+            }
+        }
+    }
 }
 
 /// What stands for nothing in a list that has something by default.
 const NONE: &str = "none";
 
-fn entry<'a>(name: &str, value: &DeValue<'_>, settings: &[&'a Arg]) -> Result<Entry<'a>, String> {
-    let Some(setting) = settings.iter().find(|setting| key(setting) == name) else {
-        return Err(unknown(name, settings));
+fn entry<'a>(
+    name: &str,
+    value: &DeValue<'_>,
+    known: &Settings<'a>,
+) -> Result<(&'a Arg, Vec<OsString>), String> {
+    let Some(setting) = known.options.iter().find(|setting| key(setting) == name) else {
+        return Err(unknown(name, &known.options));
     };
-    let kind = Kind::of(setting);
+    let kind = known.kind(setting);
     let values: Vec<_> = match value {
         DeValue::Array(values) if is_list(setting) => values.iter().map(|value| value.get_ref()).collect(),
         value => vec![value],
@@ -86,7 +129,7 @@ fn entry<'a>(name: &str, value: &DeValue<'_>, settings: &[&'a Arg]) -> Result<En
             }
         }
     }
-    Ok(Entry { setting, typed })
+    Ok((setting, typed))
 }
 
 /// Asks the option itself what it thinks of a value.

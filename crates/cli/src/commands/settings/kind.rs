@@ -14,6 +14,8 @@ pub(super) enum Kind {
     Whole,
     Number,
     Text,
+    /// Text that may be a number: of options that read their values by themselves.
+    Any,
 }
 
 impl Kind {
@@ -42,12 +44,21 @@ impl Kind {
         }
     }
 
+    /// The same of an option that is no setting of the server.
+    pub(super) fn of_default(option: &Arg) -> Self {
+        match Self::of(option) {
+            Self::Text if option.get_possible_values().is_empty() => Self::Any,
+            kind => kind,
+        }
+    }
+
     pub(super) fn name(self) -> &'static str {
         match self {
             Self::Switch => "true or false",
             Self::Whole => "a whole number",
             Self::Number => "a number",
             Self::Text => "text in quotes",
+            Self::Any => "text in quotes, or a number",
         }
     }
 
@@ -55,11 +66,11 @@ impl Kind {
     pub(super) fn typed(self, value: &DeValue<'_>) -> Option<String> {
         match (self, value) {
             (Self::Switch, DeValue::Boolean(on)) => Some(on.to_string()),
-            (Self::Whole | Self::Number, DeValue::Integer(whole)) => {
+            (Self::Whole | Self::Number | Self::Any, DeValue::Integer(whole)) => {
                 i128::from_str_radix(whole.as_str(), whole.radix()).ok().map(|whole| whole.to_string())
             }
-            (Self::Number, DeValue::Float(number)) => Some(number.as_str().to_owned()),
-            (Self::Text, DeValue::String(text)) => Some(text.to_string()),
+            (Self::Number | Self::Any, DeValue::Float(number)) => Some(number.as_str().to_owned()),
+            (Self::Text | Self::Any, DeValue::String(text)) => Some(text.to_string()),
             _ => None,
         }
     }
@@ -71,7 +82,7 @@ impl Kind {
             Self::Switch => typed.parse::<bool>().map(|on| on.to_string()).ok(),
             Self::Whole => typed.parse::<i128>().map(|whole| whole.to_string()).ok(),
             Self::Number => typed.parse::<f64>().map(|number| number.to_string()).ok(),
-            Self::Text => None,
+            Self::Text | Self::Any => None,
         };
         bare.unwrap_or_else(|| toml::Value::from(typed.as_ref()).to_string())
     }

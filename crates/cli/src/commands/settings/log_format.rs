@@ -5,7 +5,7 @@ use std::path::Path;
 
 use toml::de::DeTable;
 
-use super::has_settings;
+use super::{has_settings, place};
 
 /// The setting, its value for JSON, and the file's own.
 const FORMAT: (&str, &str) = ("log-format", "DENSECLOUD_LOG_FORMAT");
@@ -17,9 +17,8 @@ const PRINT: &str = "--print-config";
 /// Whether a server with these arguments (the program's name first) would log in JSON, as far as can be told: whatever is
 /// wrong with the rest, whoever reads its log reads JSON.
 pub(in crate::commands) fn logs_json(arguments: &[OsString]) -> bool {
-    let Some((command, options)) = arguments.split_first().and_then(|(_, rest)| rest.split_first()) else {
-        return false;
-    };
+    let Some(at) = place(arguments) else { return false };
+    let (command, options) = (&arguments[at], &arguments[at + 1..]);
     if !has_settings(command) || options.iter().any(|option| option == PRINT) {
         return false;
     }
@@ -66,6 +65,7 @@ mod tests {
             (&["densecloud", "serve", "--log-formats=json"], false),
             (&["densecloud", "serve", "--log-format=json", "--print-config"], false),
             (&["densecloud", "upsample", "--log-format=json"], false),
+            (&["densecloud", "-q", "serve", "--log-format=json"], true),
             (&["densecloud", "serve"], false),
             (&["densecloud"], false),
             (&[], false),
