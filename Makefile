@@ -4,7 +4,7 @@ PROGRAM = $(or $(CARGO_TARGET_DIR),target)/release/densecloud
 OUT = out/demo
 PYTHON_CODE = training tests/interop tests/python tests/ray tests/cluster deploy/ray benches crates/python/python examples
 
-.PHONY: demo cluster-demo test test-rust test-python test-web lint docs build wheel test-wheel onnxruntime venv clean
+.PHONY: demo cluster-demo test test-rust test-python test-web lint docs build release wheel test-wheel onnxruntime venv clean
 
 demo: build
 	mkdir -p $(OUT)
@@ -48,6 +48,10 @@ wheel:
 
 test-wheel:
 	sh tests/python/run.sh
+
+# What is handed out: out/release.
+release:
+	sh scripts/release.sh
 
 onnxruntime:
 	sh scripts/fetch-onnxruntime.sh

@@ -6,7 +6,14 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-const NAME: &str = "libonnxruntime.so";
+/// The program is for the machine that builds, or has no library.
+const NAME: &str = if cfg!(windows) {
+    "onnxruntime.dll"
+} else if cfg!(target_os = "macos") {
+    "libonnxruntime.dylib"
+} else {
+    "libonnxruntime.so"
+};
 
 fn main() {
     if std::env::var_os("CARGO_FEATURE_PROGRAM").is_none() {

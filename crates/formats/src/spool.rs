@@ -373,6 +373,7 @@ mod tests {
     }
 
     #[test]
+    #[cfg(target_os = "linux")]
     fn a_full_disk_leaves_the_bytes_in_memory() {
         let full = File::options().read(true).write(true).open("/dev/full").expect("a device");
         let mut spool = Spool { store: Store::File(Window::new(full, 0)), most: 0 };
