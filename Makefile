@@ -2,9 +2,9 @@
 
 PROGRAM = $(or $(CARGO_TARGET_DIR),target)/release/densecloud
 OUT = out/demo
-PYTHON_CODE = training tests/interop tests/python tests/ray tests/cluster deploy/ray benches crates/python/python examples
+PYTHON_CODE = training tests/interop tests/python tests/ray tests/cluster deploy/ray benches crates/python/python examples docs/book
 
-.PHONY: demo cluster-demo test test-rust test-python test-web lint docs build release wheel test-wheel onnxruntime venv clean
+.PHONY: demo cluster-demo test test-rust test-python test-web lint docs build book release wheel test-wheel onnxruntime venv clean
 
 demo: build
 	mkdir -p $(OUT)
@@ -52,6 +52,10 @@ test-wheel:
 # What is handed out: out/release.
 release:
 	sh scripts/release.sh
+
+# The documents as a site: out/book.
+book:
+	sh scripts/build-book.sh
 
 onnxruntime:
 	sh scripts/fetch-onnxruntime.sh

@@ -79,3 +79,16 @@ fn every_path_in_documents_and_comments_leads_somewhere() {
     assert!(lost.is_empty(), "{} of {seen} paths lead nowhere:\n{}", lost.len(), lost.join("\n"));
     assert!(seen > 100, "only {seen} paths were found");
 }
+
+#[test]
+fn every_document_is_a_chapter_of_the_book() {
+    let root = root();
+    let summary = std::fs::read_to_string(root.join("docs/book/SUMMARY.md")).expect("a text");
+    let chapters: Vec<&str> = mentions(&summary).collect();
+    let mut all = Vec::new();
+    files(&root.join("docs"), &mut all);
+    for file in all.iter().filter(|file| !file.ends_with("SUMMARY.md")) {
+        let name = file.strip_prefix(&root).expect("within").to_string_lossy().into_owned();
+        assert!(chapters.contains(&name.as_str()), "{name} is not in docs/book/SUMMARY.md");
+    }
+}
