@@ -1,7 +1,7 @@
 """Makes a site of the repository's documents, and refuses links that lead nowhere.
 
-The documents keep their places, so that one set of links serves the repository and the site. What they link to comes along; of a folder
-that is a list of its files.
+The documents keep their places, so that one set of links serves the repository and the site. What they link to comes
+along; of a folder that is a list of its files.
 """
 
 import argparse
@@ -82,7 +82,7 @@ def listed(root: Path, folder: Path, into: Path) -> None:
 
 
 def lost(site: Path, source: Path) -> list[str]:
-    """Links of the site that lead nowhere, with the page that has them; pages that came along are their folders' affair."""
+    """Links of the site that lead nowhere, with the page that has them; pages that came along are left alone."""
     made = (file for file in site.rglob("*.html") if not (source / file.relative_to(site)).exists())
     pages = {file.resolve(): Page(file) for file in made}
     found = []

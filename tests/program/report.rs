@@ -66,6 +66,8 @@ fn a_report_shows_a_result_beside_its_input_and_needs_nothing_else() {
     let made = std::fs::read_to_string(&made).expect("text");
     assert_eq!(pictures(&made), pictures(&text));
     assert!(made.contains("Made in ") && !text.contains("Made in "));
+    let hashes = |page: &str| page.matches("SHA-256").count();
+    assert_eq!((hashes(&made), hashes(&text)), (1, 2), "of files that were read");
 }
 
 #[test]

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use clap::{ArgGroup, Args};
 use densecloud::{Options, PrepareError, Prepared, Report};
-use densecloud_cloud::Cloud;
+use densecloud_cloud::{Cloud, Origin};
 use densecloud_engine::{EngineError, Outcome, Pending, ProgressHandle, StageTimes};
 use densecloud_tiles::Input;
 use indicatif::{ProgressBar, ProgressStyle};
@@ -155,7 +155,8 @@ pub(super) fn run(args: &UpsampleArgs, machine: &Machine<'_>) -> Result<Made, Cl
         let after = Cloud {
             positions: made.positions,
             attributes: made.attributes,
-            origin: report.origin,
+            // The file that was written has another.
+            origin: Origin { sha256: None, ..report.origin },
             ..Cloud::default()
         };
         let making = Making {
