@@ -13,6 +13,7 @@ mod kills;
 mod log;
 mod many;
 mod meanings;
+mod mesh;
 mod outputs;
 mod regions;
 mod remote;

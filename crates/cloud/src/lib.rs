@@ -3,6 +3,7 @@
 
 mod attribute;
 mod axes;
+mod colour;
 mod extra;
 mod facts;
 mod frame;
@@ -12,6 +13,7 @@ mod role;
 
 pub use attribute::{Attribute, Kind, Values, bytes_a_point};
 pub use axes::{AmbiguousAxes, Axes, axes_of};
+pub use colour::full_colour;
 pub use extra::{Extra, FormatExtra};
 pub use facts::{Facts, FactsSeen};
 pub use frame::{Frame, FrameError};

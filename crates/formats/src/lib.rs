@@ -3,7 +3,7 @@
 //!
 //! | format | clouds | meshes |
 //! |---|---|---|
-//! | PLY (ascii, binary of both byte orders; any scalar types; attributes) | read, write | read |
+//! | PLY (ascii, binary of both byte orders; any scalar types; attributes) | read, write | read, write |
 //! | XYZ and its relatives (text columns; attributes) | read, write | |
 //! | LAS, LAZ, COPC (every point format, extra bytes) | read, write | |
 //! | PCD (ascii, binary, compressed) | read, write | |
@@ -13,7 +13,8 @@
 //! | PTX (all scans) | read | |
 //! | KITTI, nuScenes (sweeps; only where a caller says so) | read | |
 //! | OFF | read (vertices) | read |
-//! | OBJ | read (vertices) | |
+//! | OBJ | read (vertices) | write |
+//! | STL, binary glTF (`.glb`) | | write |
 //!
 //! A reader is opened first and read second: [`CloudReader::open`] parses the header alone, so that limits are checked,
 //! and a refusal sent, before any point is read. [`CloudReader::read`] returns all points, [`CloudReader::next_block`]
@@ -49,6 +50,7 @@ mod kind;
 mod known;
 mod layers;
 mod mesh;
+mod mesh_write;
 mod names;
 mod numbers;
 mod reader;
@@ -78,6 +80,7 @@ pub use error::{FormatError, Place};
 pub use first_bytes::FirstBytes;
 pub use format::{Header, Limits, Scalar};
 pub use mesh::{read_mesh, read_mesh_file};
+pub use mesh_write::{MeshFormat, write_mesh};
 pub use npy::npy_header;
 pub use pcd::PcdEncoding;
 pub use ply::PlyEncoding;

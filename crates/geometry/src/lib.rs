@@ -5,6 +5,8 @@
 //! | [`KdTree`] | exact k nearest neighbours | build O(n log n), query about O(k + log n) |
 //! | [`farthest_point_sampling`] | a spread-out subset | about O(n log n) |
 //! | [`estimate_normals`] | normals by PCA | O(n (k + log n)) |
+//! | [`propagated`], [`towards`] | which side normals point to | O(n log n) |
+//! | [`reconstruct`] | the surface through points with normals, as triangles | O(n log n) |
 //! | [`SurfaceDistance`] | distance to a mesh | build O(t log t), query about O(log t) |
 //! | [`poisson_disk`], [`uniform`] | points on a triangle mesh | O(n log n), O(n log t) |
 //! | [`lone`], [`small_groups`], [`sparse`] | outliers | O(n log n) |
@@ -28,9 +30,11 @@ mod limit;
 mod mesh;
 mod mls;
 mod normals;
+mod orient;
 mod outliers;
 mod partition;
 mod plane;
+mod poisson;
 mod poisson_disk;
 mod random;
 mod shapes;
@@ -48,9 +52,11 @@ pub use mesh::{Mesh, MeshError};
 pub use mls::project_to_surface;
 pub use normals::estimate_normals;
 pub use normals::{normal, normals_of_four};
+pub use orient::{propagated, towards};
 pub use outliers::{far, lone, small_groups, sparse};
 pub use partition::{NoPartition, Partition, Split};
 pub use plane::{Plane, quadratic_residual};
+pub use poisson::{PoissonError, PoissonSettings, Surface, reconstruct};
 pub use poisson_disk::poisson_disk;
 pub use random::Rng;
 pub use shapes::{SHAPES, shape};

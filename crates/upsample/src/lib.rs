@@ -49,6 +49,7 @@ mod parameters;
 mod prepared;
 pub mod provenance;
 mod request;
+pub mod surface;
 pub mod survey;
 mod upsampler;
 

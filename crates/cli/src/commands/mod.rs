@@ -22,6 +22,7 @@ mod job;
 mod log;
 mod man;
 mod memory;
+mod mesh;
 mod options;
 mod places;
 mod remote;
@@ -93,6 +94,7 @@ enum Command {
     Job(job::JobArgs),
     Healthcheck(healthcheck::HealthcheckArgs),
     Evaluate(evaluate::EvaluateArgs),
+    Mesh(mesh::MeshArgs),
     Sample(sample::SampleArgs),
     Render(render::RenderArgs),
     Report(report::ReportArgs),
@@ -179,6 +181,7 @@ fn done_by(command: Command, matches: &ArgMatches) -> Result<(), CliError> {
         Command::Render(args) => render::run(&args),
         Command::Report(args) => report::run(&args),
         Command::View(args) => view::run(&args),
+        Command::Mesh(args) => mesh::run(&args),
         Command::Sample(args) => sample::run(&args),
         Command::Upsample(args) => batch::run(&args),
         Command::Tiles(args) => tiles::run(&args),

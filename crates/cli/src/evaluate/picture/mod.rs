@@ -12,7 +12,7 @@ mod splat;
 
 use std::io::Write;
 
-use densecloud_cloud::{Cloud, Frame, Point, Position, Role, Values, column_of};
+use densecloud_cloud::{Cloud, Frame, Point, Position, Role, Values, column_of, full_colour};
 use densecloud_geometry::{KdTree, estimate_normals};
 
 use camera::Camera;
@@ -155,17 +155,7 @@ impl<'a> Subject<'a> {
     /// The linear colour of each point.
     fn tints(&self) -> Vec<Rgb> {
         let Some(colours) = self.colours else { return vec![GREY; self.positions.len()] };
-        let largest = colours
-            .iter()
-            .flat_map(|c| (0..c.len()).map(|i| c.get(i)))
-            .filter(|c| c.is_finite())
-            .fold(0.0, f64::max);
-        let float = colours.iter().all(|c| c.kind().is_float());
-        let full = match largest {
-            m if float && m <= 1.0 => 1.0,
-            m if m <= 255.0 => 255.0,
-            _ => 65_535.0,
-        };
+        let full = full_colour(colours);
         let absent = |i: usize| {
             self.invalid.is_some_and(|flag| flag.get(i) != 0.0) || colours.iter().any(|c| c.get(i).is_nan())
         };

@@ -1,0 +1,112 @@
+//! `densecloud mesh`: a cloud's surface as triangles.
+
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use densecloud::surface::{Meshed, Meshing, TriangleSize, mesh};
+use densecloud_cloud::{Cloud, Origin, Position};
+use densecloud_formats::{MeshFormat, write_mesh};
+
+use super::options::ReadingArgs;
+use super::{CliError, files};
+
+/// Make a mesh of a cloud: its surface as triangles
+///
+/// By screened Poisson reconstruction near the points: where there are none, the mesh stays open. Colours are carried over.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  densecloud mesh dense.ply surface.ply
+  densecloud mesh scan.e57 surface.glb --triangles 200000
+  densecloud mesh hall.xyz hall.obj --sensor 2,3,1.7 --size 0.05")]
+pub(super) struct MeshArgs {
+    /// The cloud, in any format that is read; `-` for standard input
+    cloud: PathBuf,
+
+    /// The mesh: .ply, .obj, .glb or .stl
+    out: PathBuf,
+
+    /// About how many triangles (within a tenth, or it is refused)
+    #[arg(long, value_name = "N", conflicts_with = "size")]
+    triangles: Option<usize>,
+
+    /// About how long the triangles' sides are, in the cloud's units [default: the median spacing of its points]
+    #[arg(long, value_name = "LENGTH")]
+    size: Option<f64>,
+
+    /// How far from the nearest point surface is kept, in spacings of the points there: smaller leaves more open, 3 is the most
+    #[arg(long, value_name = "SPACINGS", default_value_t = 3.0)]
+    trim: f64,
+
+    /// Where the sensor stood, in the cloud's coordinates: triangles face it. In place of what the file says
+    #[arg(long, value_name = "X,Y,Z", value_parser = place, allow_hyphen_values = true)]
+    sensor: Option<Place>,
+
+    /// Say nothing but errors
+    #[arg(short, long)]
+    quiet: bool,
+
+    #[command(flatten)]
+    reading: ReadingArgs,
+}
+
+/// Three coordinates.
+#[derive(Debug, Clone, Copy)]
+struct Place(Position);
+
+fn place(text: &str) -> Result<Place, String> {
+    let numbers: Result<Vec<f64>, _> = text.split(',').map(|c| c.trim().parse::<f64>()).collect();
+    match numbers.as_deref() {
+        Ok(&[x, y, z]) if [x, y, z].iter().all(|c| c.is_finite()) => Ok(Place([x, y, z])),
+        _ => Err("three numbers with commas between them, such as 2,3,1.7".to_owned()),
+    }
+}
+
+impl MeshArgs {
+    fn how(&self) -> Result<Meshing, CliError> {
+        let size = match (self.triangles, self.size) {
+            (Some(0), _) => return Err(CliError::Usage("--triangles must be at least 1".into())),
+            (Some(count), _) => TriangleSize::Count(count),
+            (_, Some(size)) if !(size.is_normal() && size > 0.0) => {
+                return Err(CliError::Usage("--size must be a length above 0".into()));
+            }
+            (_, Some(size)) => TriangleSize::Cell(size),
+            _ => TriangleSize::Spacing,
+        };
+        if !(self.trim > 0.0 && self.trim <= 3.0) {
+            return Err(CliError::Usage("--trim must be above 0 and at most 3".into()));
+        }
+        Ok(Meshing { size, trim: self.trim, sensor: self.sensor.map(|place| place.0) })
+    }
+}
+
+pub(super) fn run(args: &MeshArgs) -> Result<(), CliError> {
+    let (how, format) = (args.how()?, format(&args.out)?);
+    let (cloud, _) = files::read_cloud(&args.cloud, &args.reading.reading()?)?;
+    super::warn(&cloud.warnings(), args.quiet);
+    let made = mesh(&cloud, &how).map_err(|why| CliError::file(&args.cloud, why))?;
+    super::warn(&made.warnings, args.quiet);
+    write(&args.out, format, &made, &cloud, args.quiet)
+}
+
+/// The format that a mesh's name asks for.
+fn format(out: &Path) -> Result<MeshFormat, CliError> {
+    MeshFormat::of(out).ok_or_else(|| {
+        let name = out.display();
+        CliError::Usage(format!(
+            "{name}: a mesh is written as .ply, .obj, .glb or .stl, which its name must end in"
+        ))
+    })
+}
+
+fn write(out: &Path, format: MeshFormat, made: &Meshed, cloud: &Cloud, quiet: bool) -> Result<(), CliError> {
+    if format.is_too_coarse(&made.mesh, made.cell) {
+        let why = "the coordinates are too large for the 32-bit numbers of STL; write PLY, OBJ or GLB";
+        return Err(CliError::file(out, why));
+    }
+    if made.colours.is_some() && !format.has_colours() {
+        super::warn(&["colours are not written: STL has no place for them".to_owned()], quiet);
+    }
+    let origin = Origin { crs: cloud.origin.crs.clone(), ..Origin::default() };
+    files::write(out, |sink| Ok(write_mesh(sink, format, &made.mesh, made.colours.as_deref(), &origin)?))
+}
