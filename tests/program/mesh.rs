@@ -80,10 +80,12 @@ fn an_open_sheet_stays_open_with_its_colours_and_place_and_says_that_its_side_is
     assert!(done.status.success() && said(&done).contains("is a guess"), "{done:?}");
     let (sides, euler) = topology(&read_mesh_file(out.as_ref()).expect("a mesh"));
     assert!(sides[&1] > 200 && sides.len() == 2 && euler == 1, "{sides:?} {euler}");
-    let cloud_of = read_cloud_file(out.as_ref()).expect("a cloud");
+    let cloud_of = read_cloud_file(out.as_ref()).expect("a cloud").0;
     for (i, p) in cloud_of.positions.iter().enumerate() {
         let (x, y) = (p[0] - 500_000.0, p[1] - 4_600_000.0);
-        assert!(x.abs() < 1.06 && y.abs() < 1.06 && (p[2] - 0.1 * (3.0 * x).sin()).abs() < 0.02, "{p:?}");
+        // Past the last points, at 0.975, the sheet goes on for a spacing or two, and may bend by as much.
+        let near = if x.abs().max(y.abs()) < 0.96 { 0.01 } else { 0.05 };
+        assert!(x.abs() < 1.06 && y.abs() < 1.06 && (p[2] - 0.1 * (3.0 * x).sin()).abs() < near, "{p:?}");
         if x.abs() > 0.05 {
             let red = cloud_of.attributes.iter().find(|a| a.name == "red").expect("colours").values.get(i);
             assert_eq!(red, if x > 0.0 { 255.0 } else { 0.0 });
@@ -97,7 +99,7 @@ fn triangles_face_the_sensor() {
     let path = within(&folder);
     let (cloud, out) = (path("sheet.xyz"), path("sheet.ply"));
     std::fs::write(&cloud, sheet()).expect("a file");
-    for (z, sign) in [(9.0, 1.0), (-9.0, -1.0)] {
+    for (z, sign) in [(9.0, 1.0_f64), (-9.0, -1.0)] {
         let done = run(&["mesh", &cloud, &out, "--sensor", &format!("500000,4600000,{z}")]);
         assert!(done.status.success() && done.stderr.is_empty(), "{done:?}");
         let mesh = read_mesh_file(out.as_ref()).expect("a mesh");
@@ -122,7 +124,7 @@ fn every_format_holds_the_same_triangles_or_is_refused_where_it_cannot() {
     assert!((4500..=5500).contains(&mesh.triangles.len()), "{}", mesh.triangles.len());
     let text = String::from_utf8(write("m.obj")).expect("text");
     assert_eq!(text.lines().filter(|line| line.starts_with("f ")).count(), mesh.triangles.len());
-    assert_eq!(read_cloud_file(path("m.obj").as_ref()).expect("vertices").positions, mesh.vertices);
+    assert_eq!(read_cloud_file(path("m.obj").as_ref()).expect("vertices").0.positions, mesh.vertices);
     let stl = write("m.stl");
     assert_eq!(stl.len(), 84 + 50 * mesh.triangles.len());
     let number = |at: usize| f32::from_le_bytes(stl[at..at + 4].try_into().expect("four bytes"));
@@ -134,7 +136,7 @@ fn every_format_holds_the_same_triangles_or_is_refused_where_it_cannot() {
     assert_eq!(json["accessors"][1]["count"], 3 * mesh.triangles.len());
     assert_eq!(json["buffers"][0]["byteLength"], glb.len() - 28 - length(12));
 
-    std::fs::write(&far, sheet().replace("4600000", "460000000")).expect("a file");
+    std::fs::write(&far, sheet().replace(" 4", " 464")).expect("a file");
     let refused = run(&["mesh", &far, &path("far.stl"), "--quiet"]);
     assert!(refused.status.code() == Some(1) && said(&refused).contains("32-bit"), "{refused:?}");
 }
