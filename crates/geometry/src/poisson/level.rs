@@ -101,12 +101,12 @@ impl Level {
             |sum, cell, corner| {
                 for (c, &node) in ends[cell].iter().enumerate() {
                     let apart = bits(corner ^ c);
-                    for a in 0..3 {
+                    for (a, along) in field[node as usize].iter().enumerate() {
                         let sign = if bits(corner)[a] == 1 { 0.5 } else { -0.5 };
                         let others =
                             (0..3).filter(|b| *b != a).map(|b| if apart[b] == 0 { 2.0 } else { 1.0 });
                         let mass: f64 = others.map(|m: f64| m * self.side / 6.0).product();
-                        *sum += sign * mass * field[node as usize][a];
+                        *sum += sign * mass * along;
                     }
                 }
             },

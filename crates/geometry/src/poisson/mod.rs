@@ -142,9 +142,9 @@ fn samples(points: &[Point], normals: &[[f32; 3]], areas: &[f64], cell: f64) -> 
 fn bounds(points: &[Point]) -> ([f64; 3], [f64; 3]) {
     let mut bounds = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
     for p in points {
-        for a in 0..3 {
-            bounds.0[a] = bounds.0[a].min(f64::from(p[a]));
-            bounds.1[a] = bounds.1[a].max(f64::from(p[a]));
+        for (a, c) in p.iter().map(|c| f64::from(*c)).enumerate() {
+            bounds.0[a] = bounds.0[a].min(c);
+            bounds.1[a] = bounds.1[a].max(c);
         }
     }
     bounds
@@ -176,9 +176,9 @@ fn levels(samples: &Samples, cell: f64) -> Result<Vec<Level>, PoissonError> {
 fn across(cells: &[grid::Key]) -> f64 {
     let mut bounds = ([u32::MAX; 3], [0; 3]);
     for c in cells.iter().map(|cell| grid::coordinates(*cell)) {
-        for a in 0..3 {
-            bounds.0[a] = bounds.0[a].min(c[a]);
-            bounds.1[a] = bounds.1[a].max(c[a]);
+        for (a, c) in c.into_iter().enumerate() {
+            bounds.0[a] = bounds.0[a].min(c);
+            bounds.1[a] = bounds.1[a].max(c);
         }
     }
     (0..3).map(|a| f64::from(bounds.1[a] - bounds.0[a] + 1)).fold(0.0, f64::max)
