@@ -7,7 +7,7 @@ use serde_json::Value;
 
 use super::histogram::Histogram;
 use super::rings::Ring;
-use super::{Making, Report};
+use super::{FAR, LOST, Making, Report};
 use crate::commands::short;
 
 const STYLE: &str = include_str!("page.css");
@@ -111,29 +111,12 @@ fn warnings(warnings: &[String]) -> Markup {
 }
 
 fn charts(report: &Report<'_>) -> Markup {
-    let percent = |share: f64| format!("{:.2} %", 100.0 * share);
     html! {
         @if let Some(spacing) = &report.spacing {
             (chart("Spacing", "Distance to the nearest neighbour, in the cloud's units.", spacing))
         }
-        (chart(
-            "Displacement",
-            &format!(
-                "From a point of the result to the nearest of the input, in the input's spacings there. {} are further \
-                 than 3 and in the last bar.",
-                percent(report.far)
-            ),
-            &report.displacement,
-        ))
-        (chart(
-            "Coverage",
-            &format!(
-                "From a point of the input to the nearest of the result, in the input's spacings there. {} are further \
-                 than 1 and in the last bar.",
-                percent(report.lost)
-            ),
-            &report.coverage,
-        ))
+        (chart("Displacement", &distances(["result", "input"], report.far, FAR), &report.displacement))
+        (chart("Coverage", &distances(["input", "result"], report.lost, LOST), &report.coverage))
         @match &report.confidence {
             Some(confidence) => (chart("Confidence", "How sure the result is of a point: 1 sure, 0 a guess.", confidence)),
             None => figure {
@@ -142,6 +125,15 @@ fn charts(report: &Report<'_>) -> Markup {
             },
         }
     }
+}
+
+/// What distances from one cloud to the other are, and which share of them is beyond the chart.
+fn distances([from, to]: [&str; 2], share: f64, limit: f64) -> String {
+    format!(
+        "From a point of the {from} to the nearest of the {to}, in the input's spacings there. {:.2} % are further than \
+         {limit} and in the last bar.",
+        100.0 * share
+    )
 }
 
 fn chart(name: &str, caption: &str, histogram: &Histogram) -> Markup {
