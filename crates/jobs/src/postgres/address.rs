@@ -137,7 +137,11 @@ impl Address {
                 config.host(name).port(*port);
                 config.ssl_mode(if tls.is_some() { SslMode::Require } else { SslMode::Disable })
             }
+            #[cfg(unix)]
             Host::Socket { folder, port } => config.host_path(folder).port(*port).ssl_mode(SslMode::Disable),
+            // Refused when the address was read.
+            #[cfg(not(unix))]
+            Host::Socket { .. } => &mut config,
         };
         config
     }
@@ -174,6 +178,7 @@ impl Host {
             return wrong("asks for TLS, which there is none on a socket of this machine");
         }
         match options.port.as_ref().map_or(Ok(PORT), |port| port.parse()) {
+            Ok(_) if cfg!(not(unix)) => wrong("names a folder of sockets, which this system has none of"),
             Ok(port) => Ok(Self::Socket { folder: folder.into(), port }),
             Err(_) => wrong("has a port that is no number"),
         }
