@@ -171,3 +171,25 @@ fn what_has_no_surface_is_refused() {
     assert!(refused.status.code() == Some(64) && said(&refused).contains(".glb"), "{refused:?}");
     assert!(["out.ply", "out.png"].iter().all(|name| !std::path::Path::new(&path(name)).exists()));
 }
+
+#[test]
+fn a_result_comes_with_its_mesh() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = within(&folder);
+    let [cloud, dense, out] = ["knot.ply", "dense.ply", "surface.ply"].map(&path);
+    assert!(run(&["sample", "shape:knot", &cloud, "--points", "2000"]).status.success());
+    let done = run(&["upsample", &cloud, &dense, "--mesh", &out, "--quiet"]);
+    assert!(done.status.success() && done.stderr.is_empty(), "{done:?}");
+    let mesh = read_mesh_file(out.as_ref()).expect("a mesh");
+    let (sides, euler) = topology(&mesh);
+    assert_eq!((sides.keys().copied().collect::<Vec<_>>(), euler), (vec![2], 0), "a closed tube");
+    assert_eq!(read_cloud_file(dense.as_ref()).expect("a cloud").0.positions.len(), 8000);
+    for (arguments, code, why) in [
+        (vec!["upsample", &cloud, &dense, "--mesh", "out.png"], 64, ".glb"),
+        (vec!["upsample", &cloud, &dense, "--mesh", &out, "--tile-points", "1000"], 1, "--bounds"),
+        (vec!["upsample", &cloud, &out, "-o", "{stem}_b.ply", "--mesh", "m.ply"], 64, "one input"),
+    ] {
+        let refused = run(&arguments);
+        assert!(refused.status.code() == Some(code) && said(&refused).contains(why), "{refused:?}");
+    }
+}

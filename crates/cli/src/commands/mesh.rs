@@ -10,6 +10,9 @@ use densecloud_formats::{MeshFormat, write_mesh};
 use super::options::ReadingArgs;
 use super::{CliError, files};
 
+/// Spacings from the nearest point up to which surface is kept, at most and by default.
+const TRIM: f64 = 3.0;
+
 /// Make a mesh of a cloud: its surface as triangles
 ///
 /// By screened Poisson reconstruction near the points: where there are none, the mesh stays open. Colours are carried over.
@@ -35,7 +38,7 @@ pub(super) struct MeshArgs {
     size: Option<f64>,
 
     /// How far from the nearest point surface is kept, in spacings of the points there: smaller leaves more open, 3 is the most
-    #[arg(long, value_name = "SPACINGS", default_value_t = 3.0)]
+    #[arg(long, value_name = "SPACINGS", default_value_t = TRIM)]
     trim: f64,
 
     /// Where the sensor stood, in the cloud's coordinates: triangles face it. In place of what the file says
@@ -73,7 +76,7 @@ impl MeshArgs {
             (_, Some(size)) => TriangleSize::Cell(size),
             _ => TriangleSize::Spacing,
         };
-        if !(self.trim > 0.0 && self.trim <= 3.0) {
+        if !(self.trim > 0.0 && self.trim <= TRIM) {
             return Err(CliError::Usage("--trim must be above 0 and at most 3".into()));
         }
         Ok(Meshing { size, trim: self.trim, sensor: self.sensor.map(|place| place.0) })
@@ -87,6 +90,19 @@ pub(super) fn run(args: &MeshArgs) -> Result<(), CliError> {
     let made = mesh(&cloud, &how).map_err(|why| CliError::file(&args.cloud, why))?;
     super::warn(&made.warnings, args.quiet);
     write(&args.out, format, &made, &cloud, args.quiet)
+}
+
+/// Makes the mesh of a result that was just made, as without options.
+pub(super) fn write_of(out: &Path, (cloud, name): (&Cloud, &Path), quiet: bool) -> Result<(), CliError> {
+    let how = Meshing { size: TriangleSize::Spacing, trim: TRIM, sensor: None };
+    let made = mesh(cloud, &how).map_err(|why| CliError::file(name, why))?;
+    super::warn(&made.warnings, quiet);
+    write(out, format(out)?, &made, cloud, quiet)
+}
+
+/// Refuses a name that no mesh is written under.
+pub(super) fn check_name(out: &Path) -> Result<(), CliError> {
+    format(out).map(drop)
 }
 
 /// The format that a mesh's name asks for.

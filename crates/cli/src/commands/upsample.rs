@@ -16,7 +16,7 @@ use super::engine_args::{EngineArgs, Machine};
 use super::events::{Events, Made};
 use super::options::{GOALS, OptionArgs};
 use super::tile_args::TileArgs;
-use super::{CliError, files, report, tiled, upsample_remote};
+use super::{CliError, files, mesh, report, tiled, upsample_remote};
 use crate::report::Making;
 
 /// A work on one input, and all options of it.
@@ -62,6 +62,10 @@ pub(super) struct UpsampleArgs {
     #[arg(long, value_name = "HTML", conflicts_with = "server")]
     pub(super) report: Option<PathBuf>,
 
+    /// Write the surface of the result as triangles, too, to a .ply, .obj, .glb or .stl: as `densecloud mesh` does
+    #[arg(long, value_name = "MESH", conflicts_with = "server")]
+    pub(super) mesh: Option<PathBuf>,
+
     /// Go on where a work on the same input, with the same options, was stopped or killed; what is done stays in the
     /// temporary folder for that
     #[arg(long, conflicts_with = "server")]
@@ -77,9 +81,14 @@ pub const PROVENANCE: &str = ".provenance.txt";
 impl UpsampleArgs {
     /// Refuses what names one file, where there are several inputs.
     pub(super) fn refuse_one_for_all(&self) -> Result<(), CliError> {
-        match &self.report {
-            Some(_) => Err(CliError::Usage("--report is a page of one result; give one input".into())),
-            None => Ok(()),
+        match self {
+            Self { report: Some(_), .. } => {
+                Err(CliError::Usage("--report is a page of one result; give one input".into()))
+            }
+            Self { mesh: Some(_), .. } => {
+                Err(CliError::Usage("--mesh is a file of one result; give one input".into()))
+            }
+            _ => Ok(()),
         }
     }
 
@@ -88,6 +97,7 @@ impl UpsampleArgs {
         match self {
             Self { report: Some(_), .. } => Err(no_report(&self.input)),
             Self { clean: Some(_), .. } => Err(unclean(&self.input)),
+            Self { mesh: Some(_), .. } => Err(no_mesh(&self.input)),
             _ => Ok(()),
         }
     }
@@ -105,6 +115,9 @@ impl UpsampleArgs {
 pub(super) fn run(args: &UpsampleArgs, machine: &Machine<'_>) -> Result<Made, CliError> {
     if let Some(page) = &args.report {
         report::check_name(page)?;
+    }
+    if let Some(file) = &args.mesh {
+        mesh::check_name(file)?;
     }
     let options = args.settled()?;
     if let Some(url) = &args.server {
@@ -151,14 +164,14 @@ pub(super) fn run(args: &UpsampleArgs, machine: &Machine<'_>) -> Result<Made, Cl
             .collect(),
         ..Made::of(&report)
     };
+    let after = Cloud {
+        positions: made.positions,
+        attributes: made.attributes,
+        // The file that was written has another.
+        origin: Origin { sha256: None, ..report.origin },
+        ..Cloud::default()
+    };
     if let Some((page, cloud, format)) = before {
-        let after = Cloud {
-            positions: made.positions,
-            attributes: made.attributes,
-            // The file that was written has another.
-            origin: Origin { sha256: None, ..report.origin },
-            ..Cloud::default()
-        };
         let making = Making {
             warnings: report.warnings,
             seconds,
@@ -166,6 +179,9 @@ pub(super) fn run(args: &UpsampleArgs, machine: &Machine<'_>) -> Result<Made, Cl
         };
         let before = (&cloud, format, args.input.as_path());
         report::write_of(page, before, (&after, report.format, &args.output), making)?;
+    }
+    if let Some(file) = &args.mesh {
+        mesh::write_of(file, (&after, &args.output), args.quiet)?;
     }
     if !args.quiet {
         let shares = shares(&stages);
@@ -228,6 +244,15 @@ fn no_report(input: &Path) -> CliError {
         input,
         "it is worked on in tiles, and --report needs all of it at once; upsample it without, then make a report of a \
          part: densecloud report IN OUT -o HTML --bounds X0,Y0,X1,Y1",
+    )
+}
+
+/// A mesh is made of a whole cloud, and this one is too large for that.
+fn no_mesh(input: &Path) -> CliError {
+    CliError::file(
+        input,
+        "it is worked on in tiles, and --mesh needs all of it at once; upsample it without, then make a mesh of a part: densecloud \
+         mesh OUT MESH --bounds X0,Y0,X1,Y1",
     )
 }
 
