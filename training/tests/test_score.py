@@ -23,6 +23,7 @@ from densecloud_training.score import (
     rules,
     scans,
     stress,
+    surfaces,
     table,
     validation,
     worst,
@@ -281,6 +282,15 @@ def test_a_noisy_cloud_is_cleaned_in_each_way(tmp_path):
     assert len({*files.values()}) == len(files)
     calls = (tmp_path / "program.log").read_text().splitlines()
     assert len(calls) == len(noisy.WAYS) - 1 and calls[1].endswith("--quiet --smooth")
+
+
+def test_the_better_of_two_surfaces_is_told():
+    def result(cloud, to, back):
+        return surfaces.Result(0.01, cloud, "a", dict(to_surface=to, from_surface=back, hausdorff_95=0.5))
+
+    table = surfaces.text([result("sparse", 0.002, 0.004), result("upsampled 8x", 0.001, 0.005)])
+    assert "| 1 % | a | sparse | 2.00 | **4.00** | **500.00** |" in table
+    assert "| 1 % | a | upsampled 8x | **1.00** | 5.00 | **500.00** |" in table
 
 
 def test_strays_are_added_in_the_box():

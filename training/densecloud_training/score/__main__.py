@@ -8,7 +8,22 @@ from typing import List, Sequence
 from ..clouds import validation_names
 from ..errors import run_command
 from ..prepare import find_program
-from . import confidence, noisy, peers, pictures, plane, real, rules, stress, targets, thin, tiled, validation, worst
+from . import (
+    confidence,
+    noisy,
+    peers,
+    pictures,
+    plane,
+    real,
+    rules,
+    stress,
+    surfaces,
+    targets,
+    thin,
+    tiled,
+    validation,
+    worst,
+)
 from .inputs import Inputs
 from .program import Program
 from .splats import experiment as splats
@@ -48,6 +63,7 @@ def parser() -> argparse.ArgumentParser:
     found.add_argument("--fit", action="store_true", help="also fits the model's constants, on one half of the inputs")
     found = commands.add_parser("noisy", parents=[common, meshes], help="what cleaning before upsampling gains")
     found.add_argument("--scans", type=Path, help="folder of scans: draws one of them too, cleaned in each way")
+    commands.add_parser("surfaces", parents=[common, meshes], help="meshes of sparse clouds and of upsampled ones")
     found = commands.add_parser("splats", parents=[common, meshes], help="what denser seeds gain Gaussian splatting")
     found.add_argument("--seeds", type=int, default=splats.SEEDS, help="scenes of each shape [default: %(default)s]")
     found.add_argument("--steps", type=int, default=splats.STEPS, help="of each optimisation [default: %(default)s]")
@@ -117,6 +133,8 @@ def run(arguments: argparse.Namespace) -> None:
         write(out, "confidence.md", confidence.text(cases))
         if arguments.fit:
             write(out, "confidence-fit.md", confidence.fit_text(cases))
+    elif arguments.command == "surfaces":
+        write(out, "surfaces.md", surfaces.text(surfaces.evaluate(held_out(arguments, program, surfaces.SHAPES))))
     elif arguments.command == "noisy":
         drawn = noisy.draw(program, arguments.scans, out) + "\n" if arguments.scans else ""
         inputs = held_out(arguments, program, noisy.SHAPES)
