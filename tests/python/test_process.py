@@ -35,9 +35,10 @@ import densecloud, numpy as np
 points = np.random.default_rng(0).random(({LARGE}, 3))
 heard = []
 def hear(fraction, stage):
-    if not heard:
-        print("begun", flush=True)
+    # First, since the signal may come as soon as it is told.
     heard.append(fraction)
+    if len(heard) == 1:
+        print("begun", flush=True)
 try:
     densecloud.upsample(points, ratio=16, progress=hear)
 except KeyboardInterrupt:
