@@ -122,7 +122,7 @@ fn what_cannot_be_reported_is_refused_before_any_work() {
     for (arguments, code, words) in [
         (vec!["report", &input, &input], 64, "--out"),
         (vec!["report", &input, &input, "-o", "page.pdf"], 64, "name it .html"),
-        (vec!["report", &input, &input, "--json", "-", "--sensor", "1,2"], 64, "three finite numbers"),
+        (vec!["report", &input, &input, "--json", "-", "--sensor", "1,2"], 64, "is not three numbers X,Y,Z"),
         (vec!["report", &input, &input, "--json", "-", "--sample", "0"], 64, "1 point or more"),
         (vec!["report", &input, &one, "--json", "-"], 1, "one.xyz"),
         (vec!["report", "-", "-", "--json", "-"], 64, "standard input"),

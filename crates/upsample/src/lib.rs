@@ -61,7 +61,7 @@ pub use densecloud_geometry as geometry;
 
 pub use options::{OptionError, Options};
 pub use outline::{Outline, Outlined};
-pub use parameters::{LEAST_TILE, PARAMETERS, Parameter, Topic, Value};
+pub use parameters::{LEAST_TILE, PARAMETERS, Parameter, Topic, Value, position};
 pub use prepared::{PrepareError, Prepared, Report, check_rules};
 pub use request::{Made, Request};
 pub use upsampler::{Dense, Input, UpsampleError, Upsampler};

@@ -480,7 +480,11 @@ fn named<T: FromStr<Err = UnknownName>>(text: &str) -> Result<T, String> {
     text.parse().map_err(|why: UnknownName| why.to_string())
 }
 
-fn position(text: &str) -> Result<Position, String> {
+/// A place of a cloud's coordinates as options have it: `X,Y,Z`.
+///
+/// # Errors
+/// They are not three finite numbers, in words for whoever typed them.
+pub fn position(text: &str) -> Result<Position, String> {
     let numbers: Option<Vec<f64>> =
         text.split(',').map(|n| n.trim().parse().ok().filter(|n: &f64| n.is_finite())).collect();
     let position = numbers.and_then(|numbers| numbers.try_into().ok());

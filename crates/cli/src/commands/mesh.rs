@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
+use densecloud::position;
 use densecloud::surface::{Meshed, Meshing, TriangleSize, mesh};
 use densecloud_cloud::{Cloud, Origin, Position};
 use densecloud_formats::{MeshFormat, write_mesh};
@@ -42,8 +43,8 @@ pub(super) struct MeshArgs {
     trim: f64,
 
     /// Where the sensor stood, in the cloud's coordinates: triangles face it. In place of what the file says
-    #[arg(long, value_name = "X,Y,Z", value_parser = place, allow_hyphen_values = true)]
-    sensor: Option<Place>,
+    #[arg(long, value_name = "X,Y,Z", value_parser = position, allow_hyphen_values = true)]
+    sensor: Option<Position>,
 
     /// Say nothing but errors
     #[arg(short, long)]
@@ -51,18 +52,6 @@ pub(super) struct MeshArgs {
 
     #[command(flatten)]
     reading: ReadingArgs,
-}
-
-/// Three coordinates.
-#[derive(Debug, Clone, Copy)]
-struct Place(Position);
-
-fn place(text: &str) -> Result<Place, String> {
-    let numbers: Result<Vec<f64>, _> = text.split(',').map(|c| c.trim().parse::<f64>()).collect();
-    match numbers.as_deref() {
-        Ok(&[x, y, z]) if [x, y, z].iter().all(|c| c.is_finite()) => Ok(Place([x, y, z])),
-        _ => Err("three numbers with commas between them, such as 2,3,1.7".to_owned()),
-    }
 }
 
 impl MeshArgs {
@@ -79,7 +68,7 @@ impl MeshArgs {
         if !(self.trim > 0.0 && self.trim <= TRIM) {
             return Err(CliError::Usage("--trim must be above 0 and at most 3".into()));
         }
-        Ok(Meshing { size, trim: self.trim, sensor: self.sensor.map(|place| place.0) })
+        Ok(Meshing { size, trim: self.trim, sensor: self.sensor })
     }
 }
 

@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
+use densecloud::position;
 use densecloud::survey::SAMPLE;
 use densecloud_cloud::{Cloud, Position};
 use densecloud_formats::Format;
@@ -44,7 +45,7 @@ pub(super) struct ReportArgs {
     json: Option<PathBuf>,
 
     /// Where the sensor stood, for the density by distance, where the input does not tell
-    #[arg(long, value_name = "X,Y,Z", value_parser = place, allow_hyphen_values = true)]
+    #[arg(long, value_name = "X,Y,Z", value_parser = position, allow_hyphen_values = true)]
     sensor: Option<Position>,
 
     /// The axis that points up
@@ -146,13 +147,6 @@ fn name(path: &Path) -> String {
 
 fn failed(why: ReportError) -> CliError {
     CliError::Failed(why.to_string())
-}
-
-fn place(text: &str) -> Result<Position, String> {
-    let wrong = || format!("{text:?} is no place; give three finite numbers as in 1.5,-2,0");
-    let numbers: Option<Vec<f64>> =
-        text.split(',').map(|c| c.trim().parse().ok().filter(|c: &f64| c.is_finite())).collect();
-    numbers.and_then(|numbers| numbers.try_into().ok()).ok_or_else(wrong)
 }
 
 fn sample(text: &str) -> Result<usize, String> {
